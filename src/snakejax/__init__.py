@@ -1,0 +1,1 @@
+"""Differentiable simulation and parameter fitting for the skidding snakeboard."""

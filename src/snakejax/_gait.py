@@ -1,0 +1,155 @@
+"""Gaits: what the joints do over time, in closed form or from a log, with both derivatives."""
+
+import abc
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.interpolate import CubicSpline
+
+from ._units import Parametrised, Scalar, param
+
+
+class Joint(NamedTuple):
+    """A joint at one instant: angle [rad], rate [rad/s], acceleration [rad/s^2]."""
+
+    angle: Scalar
+    rate: Scalar
+    acceleration: Scalar
+
+
+class AbstractSignal(Parametrised):
+    """A joint angle as a function of time."""
+
+    @abc.abstractmethod
+    def at(self, t: Scalar) -> Joint:
+        """Angle, rate and acceleration at time `t` [s]."""
+
+
+class Sines(AbstractSignal):
+    """A sum of sines, sum_k a_k sin(w_k t + p_k).
+
+    **Arguments:** `amplitude` [rad], `frequency` (angular) [rad/s], `phase` [rad], each of shape (terms,).
+    """
+
+    amplitude: Float[Array, " terms"] = eqx.field(converter=jnp.asarray)
+    frequency: Float[Array, " terms"] = eqx.field(converter=jnp.asarray)
+    phase: Float[Array, " terms"] = eqx.field(converter=jnp.asarray)
+
+    @staticmethod
+    def of(terms: Sequence[Sequence[float]]) -> "Sines":
+        """From [[amplitude, angular frequency, phase], ...] as `case.toml` writes it; [] is a joint that stays at 0."""
+        table = np.asarray(terms, np.float64).reshape(-1, 3)
+        return Sines(table[:, 0], table[:, 1], table[:, 2])
+
+    def padded(self, terms: int) -> "Sines":
+        """The same signal with `terms` terms, the new ones of amplitude zero."""
+        extra = (0, terms - self.amplitude.shape[0])
+        return Sines(*(jnp.pad(part, extra) for part in (self.amplitude, self.frequency, self.phase)))
+
+    def at(self, t: Scalar) -> Joint:
+        angle = rate = acceleration = jnp.zeros(())
+        for k in range(self.amplitude.shape[0]):
+            a, w = self.amplitude[k], self.frequency[k]
+            turn = w * t + self.phase[k]
+            sine, cosine = jnp.sin(turn), jnp.cos(turn)
+            angle, rate, acceleration = angle + a * sine, rate + a * w * cosine, acceleration - a * w**2 * sine
+        return Joint(angle, rate, acceleration)
+
+
+class Logged(AbstractSignal):
+    """A measured or commanded joint angle from a log: the natural cubic spline through its samples.
+
+    Build it with `Logged.of(times, angles)`. Before and after the log the joint stays where the log begins and ends.
+    """
+
+    knots: Float[Array, " n"]
+    coefficients: Float[Array, "4 n-1"]
+
+    @staticmethod
+    def of(times: Any, angles: Any) -> "Logged":
+        """From `times` [s], strictly increasing, and `angles` [rad], both (n,) with n >= 4."""
+        times, angles = np.asarray(times, np.float64), np.asarray(angles, np.float64)
+        if times.size < 4 or times.shape != angles.shape:
+            raise ValueError(f"A joint log needs at least 4 samples of time and angle, but has {times.size}.")
+        if not (np.isfinite(times).all() and np.isfinite(angles).all() and (np.diff(times) > 0).all()):
+            raise ValueError("The times of a joint log must be finite and increase, and its angles must be finite.")
+        return Logged(jnp.asarray(times), jnp.asarray(CubicSpline(times, angles, bc_type="natural").c))
+
+    def at(self, t: Scalar) -> Joint:
+        inside = (t >= self.knots[0]) & (t <= self.knots[-1])
+        held = jnp.clip(t, self.knots[0], self.knots[-1])
+        k = jnp.clip(jnp.searchsorted(self.knots, held, side="right") - 1, 0, self.knots.shape[0] - 2)
+        d, (c3, c2, c1, c0) = held - self.knots[k], self.coefficients[:, k]
+        angle = ((c3 * d + c2) * d + c1) * d + c0
+        rate, acceleration = (3 * c3 * d + 2 * c2) * d + c1, 6 * c3 * d + 2 * c2
+        return Joint(angle, jnp.where(inside, rate, 0.0), jnp.where(inside, acceleration, 0.0))
+
+
+class Tracked(AbstractSignal):
+    """A joint that starts at zero and at rest and is driven to `command` by the controller of eq. (8).
+
+    The error e = actual - command obeys e'' + kd e' + kp e = 0 with e(0) = -command(0), e'(0) = -command'(0), so with
+    a = kd / 2, q = kp - a^2, c = cos(sqrt(q) t), s = sin(sqrt(q) t) / sqrt(q) (cosh, sinh for q < 0):
+
+        e(t) = exp(-a t) (e0 c + (e0' + a e0) s)
+
+    and nothing need be integrated.
+    """
+
+    command: AbstractSignal
+    kp: Scalar = param("1/s^2", positive=True)
+    kd: Scalar = param("1/s", low=0.0)
+
+    def at(self, t: Scalar) -> Joint:
+        start = self.command.at(jnp.zeros_like(t))
+        angle, rate, acceleration = self.command.at(t)
+        a = self.kd / 2
+        q = self.kp - a**2
+        oscillates, decays = q > 1e-9, q < -1e-9
+        w = jnp.sqrt(jnp.where(oscillates, q, 1.0))
+        v = jnp.sqrt(jnp.where(decays, -q, 1.0))
+        v_t = jnp.where(decays, v * t, 0.0)
+        c = jnp.where(oscillates, jnp.cos(w * t), jnp.where(decays, jnp.cosh(v_t), 1 - q * t**2 / 2))
+        s = jnp.where(oscillates, jnp.sin(w * t) / w, jnp.where(decays, jnp.sinh(v_t) / v, t - q * t**3 / 6))
+        e0, slope = -start.angle, -start.rate - a * start.angle
+        fade = jnp.exp(-a * t)
+        e = fade * (e0 * c + slope * s)
+        e_rate = fade * (slope * c - q * e0 * s) - a * e
+        return Joint(angle + e, rate + e_rate, acceleration - self.kd * e_rate - self.kp * e)
+
+
+class Delayed(AbstractSignal):
+    """`signal` as it was `delay` seconds ago, and zero before its time 0."""
+
+    signal: AbstractSignal
+    delay: Scalar = param("s", low=0.0)
+
+    def at(self, t: Scalar) -> Joint:
+        started = t >= self.delay
+        joint = self.signal.at(jnp.where(started, t - self.delay, 0.0))
+        return Joint(*(jnp.where(started, part, 0.0) for part in joint))
+
+
+class Scaled(AbstractSignal):
+    """`factor` times `signal`."""
+
+    signal: AbstractSignal
+    factor: Scalar = param("-")
+
+    def at(self, t: Scalar) -> Joint:
+        return Joint(*(self.factor * part for part in self.signal.at(t)))
+
+
+class Gait(eqx.Module):
+    """What the joints do: steering `phi` (front; the back one turns the other way) and rotor `psi`.
+
+    `phi_back`, where given, is the command of the back wheelset by itself, in the same sense as the front one.
+    """
+
+    phi: AbstractSignal
+    psi: AbstractSignal
+    phi_back: AbstractSignal | None = None

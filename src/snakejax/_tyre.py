@@ -1,0 +1,99 @@
+"""Lateral traction laws: the force at one wheelset that opposes its skid."""
+
+import abc
+
+import jax.numpy as jnp
+
+from ._units import Parametrised, Scalar, param
+
+
+class AbstractTyre(Parametrised):
+    """The lateral force of one wheelset as a function of how it skids."""
+
+    @abc.abstractmethod
+    def force(self, slip: Scalar, lateral: Scalar) -> Scalar:
+        """Traction [N], counted against the skid: positive where the wheelset slips in the positive direction.
+
+        **Arguments:** `slip`: slip angle [rad]; `lateral`: lateral slip speed [m/s].
+        """
+
+    @abc.abstractmethod
+    def scaled(self, grip: Scalar) -> "AbstractTyre":
+        """The same tyre on a floor that grips `grip` times as well: D (or k_s) is multiplied, B stays."""
+
+
+class Pacejka(AbstractTyre):
+    """The magic formula (paper eq. 5; Bakker, Nyborg, Pacejka 1987), angles in radians.
+
+        F = D sin(C atan(B eta)) + dSv,   eta = (1 - E)(delta + dSh) + (E / B) atan(B (delta + dSh))
+
+    Domains: B > 0, 0 < C <= 2, D >= 0, E <= 1; outside them the force can reverse against the slip.
+    """
+
+    B: Scalar = param("1/rad", positive=True)
+    C: Scalar = param("-", high=2.0, positive=True)
+    D: Scalar = param("N", low=0.0, multiplicative=True)
+    E: Scalar = param("-", high=1.0)
+    dSh: Scalar = param("rad", default=0.0)
+    dSv: Scalar = param("N", default=0.0)
+
+    def force(self, slip: Scalar, lateral: Scalar) -> Scalar:
+        del lateral
+        delta = slip + self.dSh
+        eta = (1 - self.E) * delta + self.E / self.B * jnp.arctan(self.B * delta)
+        return self.D * jnp.sin(self.C * jnp.arctan(self.B * eta)) + self.dSv
+
+    def scaled(self, grip: Scalar) -> "Pacejka":
+        return Pacejka(self.B, self.C, self.D * grip, self.E, self.dSh, self.dSv)
+
+
+class Rayleigh(AbstractTyre):
+    """Viscous skidding, F = k_s v (paper eq. 1, from the dissipation R = k_s v^2 / 2)."""
+
+    k_s: Scalar = param("N s/m", low=0.0, multiplicative=True)
+
+    def force(self, slip: Scalar, lateral: Scalar) -> Scalar:
+        del slip
+        return self.k_s * lateral
+
+    def scaled(self, grip: Scalar) -> "Rayleigh":
+        return Rayleigh(self.k_s * grip)
+
+
+_A = (-22.1, 1011.0, 1078.0, 1.82, 0.208, 0.0, -0.354, 0.707, 0.028, 0.0, 14.8, 0.022)
+_DEGREES = 180 / jnp.pi
+
+
+class Bakker(AbstractTyre):
+    """A car tyre whose six coefficients follow from load and camber (Bakker, Nyborg, Pacejka 1987, SAE 870421).
+
+    With Fz the load in kN, gamma the camber and delta the slip angle in degrees, forces in N:
+
+        C = 1.30    D = a1 Fz^2 + a2 Fz    BCD = a3 sin(a4 atan(a5 Fz))    E = a6 Fz^2 + a7 Fz + a8
+        B = BCD / (C D) (1 - a12 |gamma|)    dSh = a9 gamma    dSv = (a10 Fz^2 + a11 Fz) gamma
+
+    **Arguments:** `load` [N] on the wheelset; `camber` [rad]; `offsets`: False leaves dSh and dSv out.
+    """
+
+    load: Scalar = param("N", positive=True)
+    camber: Scalar = param("rad", default=0.0)
+    offsets: bool = True
+
+    def coefficients(self) -> Pacejka:
+        """The six coefficients, converted to radians: B [1/rad], C, D [N], E, dSh [rad], dSv [N]."""
+        kilo, gamma = self.load / 1000.0, self.camber * _DEGREES
+        peak = _A[0] * kilo**2 + _A[1] * kilo
+        stiffness = _A[2] * jnp.sin(_A[3] * jnp.arctan(_A[4] * kilo))
+        B = stiffness / (1.30 * peak) * (1 - _A[11] * jnp.abs(gamma))
+        E = _A[5] * kilo**2 + _A[6] * kilo + _A[7]
+        dSh = _A[8] * gamma / _DEGREES
+        dSv = (_A[9] * kilo**2 + _A[10] * kilo) * gamma
+        if not self.offsets:
+            dSh, dSv = jnp.zeros_like(dSh), jnp.zeros_like(dSv)
+        return Pacejka(B * _DEGREES, 1.30, peak, E, dSh, dSv)
+
+    def force(self, slip: Scalar, lateral: Scalar) -> Scalar:
+        return self.coefficients().force(slip, lateral)
+
+    def scaled(self, grip: Scalar) -> Pacejka:
+        return self.coefficients().scaled(grip)
