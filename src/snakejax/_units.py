@@ -68,7 +68,7 @@ def param(
     zero, and so multiplicative. `multiplicative`: a fit moves its logarithm. `default`: for an effect, the neutral value.
     """
     domain = Domain(unit, low, high, positive, positive or multiplicative)
-    kwargs = {} if default is dataclasses.MISSING else {"default": _as_scalar(default)}
+    kwargs = {} if default is dataclasses.MISSING else {"default": default}
     return eqx.field(converter=_as_scalar, metadata={"domain": domain}, **kwargs)
 
 

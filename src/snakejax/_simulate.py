@@ -1,0 +1,120 @@
+"""Simulation: the only room that knows diffrax."""
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from ._effect import Motion
+from ._gait import Gait
+from ._model import Model
+from ._units import Scalar, require_x64
+
+
+class Accuracy(eqx.Module):
+    """How accurately to integrate: Tsit5 with local error below `atol + rtol |state|`, or with a fixed step [s].
+
+    `derivative` says which automatic derivative can be taken: "reverse" (`jax.grad`, `jax.vjp`) or "forward"
+    (`jax.jvp`, `jax.jacfwd`). With a fixed step the solver takes the same steps whatever the parameters.
+    """
+
+    rtol: float = eqx.field(static=True, default=1e-8)
+    atol: float = eqx.field(static=True, default=1e-9)
+    step: float | None = eqx.field(static=True, default=None)
+    max_steps: int = eqx.field(static=True, default=65536)
+    derivative: Literal["reverse", "forward"] = eqx.field(static=True, default="reverse")
+
+
+class Trajectory(eqx.Module):
+    """A simulated run: `times` [s] (n,), and at each of them the reported `pose` (n, 3): x, y [m], heading [rad].
+
+    `state` is the model's state with a leading axis n, and `command_times` (n,) the times at which it held, which differ
+    from `times` by the clock's delay. `finished` is False where the solver gave up; the pose is then infinite.
+    """
+
+    times: Float[Array, " n"]
+    pose: Float[Array, "n 3"]
+    state: Any
+    command_times: Float[Array, " n"]
+    finished: Bool[Array, ""]
+
+
+def simulate(
+    model: Model,
+    gait: Gait,
+    times: Float[Array, " n"],
+    start: Sequence[float] | Float[Array, " k"] = (0.0, 0.0, 0.0),
+    *,
+    accuracy: Accuracy = Accuracy(),  # noqa: B008
+    throw: bool = True,
+) -> Trajectory:
+    """Integrate `model` under `gait` and report its pose at `times`.
+
+    Can be transformed by `jax.jit`, `jax.vmap` and the derivative that `accuracy` names, over any leaf.
+
+    **Arguments:** `times` [s] (n,), increasing. `start`: (x [m], y [m], heading [rad]) of a board at rest at time 0; or
+    six numbers, (x, y, heading, u, w, r) under `free` and (x, y, heading, u, beta, s) under `coupled`, of a board under
+    way at `times[0]`. `throw`: raise where the solver fails, else say so in the result.
+
+    **Raises:** `RuntimeError` without double precision; the solver's error where it cannot reach the accuracy.
+    """
+    require_x64()
+    times, start = jnp.asarray(times), jnp.asarray(start, jnp.float64)
+    if start.shape not in ((3,), (6,)):
+        raise ValueError(f"Argument `start` must have 3 or 6 numbers, but its shape is {start.shape}.")
+    delayed = times - model.delay()
+    if start.shape == (3,):
+        t0, delayed = jnp.zeros(()), jnp.maximum(delayed, 0.0)
+        state = model.start((start[0], start[1], start[2]))
+    else:
+        t0 = delayed[0]
+        state = model.start_moving(tuple(start[k] for k in range(6)), t0, gait)
+    states, finished = _integrate(model, gait, state, t0, delayed, accuracy, throw)
+    pose = jnp.stack(model.observe(states[0]), axis=-1)
+    return Trajectory(times, jnp.where(finished, pose, jnp.inf), states, delayed, finished)
+
+
+def _integrate(
+    model: Model, gait: Gait, state: Any, t0: Scalar, times: Float[Array, " n"], accuracy: Accuracy, throw: bool
+) -> tuple[Any, Bool[Array, ""]]:
+    forward = accuracy.derivative == "forward"
+    if accuracy.step is None:
+        controller, dt0 = diffrax.PIDController(rtol=accuracy.rtol, atol=accuracy.atol), 1e-3
+    else:
+        controller, dt0 = diffrax.ConstantStepSize(), accuracy.step
+    # An empty tuple inside diffrax's state breaks its buffers, so it gets the leaves alone.
+    leaves, structure = jax.tree.flatten(state)
+
+    def rates(t: Scalar, y: list[Scalar], args: Gait) -> list[Scalar]:
+        return jax.tree.leaves(model.rates(t, jax.tree.unflatten(structure, y), args))
+
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(rates),
+        diffrax.Tsit5(),
+        t0=t0,
+        t1=jnp.maximum(times[-1], t0 + 1e-9),
+        dt0=dt0,
+        y0=leaves,
+        args=gait,
+        saveat=diffrax.SaveAt(ts=times),
+        stepsize_controller=controller,
+        adjoint=diffrax.ForwardMode() if forward else diffrax.RecursiveCheckpointAdjoint(),
+        max_steps=accuracy.max_steps,
+        throw=throw,
+    )
+    return jax.tree.unflatten(structure, solution.ys), solution.result == diffrax.RESULTS.successful
+
+
+def motions(model: Model, gait: Gait, trajectory: Trajectory) -> tuple[Motion, tuple[Float[Array, " n"], ...]]:
+    """The motion at every sample of `trajectory`, and the traction F_i [N] (n,) of each wheelset there."""
+
+    def at(t: Scalar, state: Any) -> tuple[Any, tuple[Scalar, ...]]:
+        motion = model.motion(t, state[0], gait)
+        forces = model.traction(motion, state[1])
+        return motion._replace(wheels=tuple(w._replace(wheelset=None) for w in motion.wheels), board=None), forces
+
+    return jax.vmap(at)(trajectory.command_times, trajectory.state)
