@@ -1,0 +1,225 @@
+"""Cases: a folder with `case.toml` and the recordings that it names."""
+
+import dataclasses
+import difflib
+import hashlib
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from ._board import Board
+from ._errors import InputError
+from ._gait import AbstractSignal, Gait, Logged, Sines, Tracked
+from ._recording import Case, Noise, Run
+from ._toml import Table, read_toml
+from ._units import Domain, require_x64
+from .readers import FEWEST_SAMPLES, read_joint_log, read_track
+
+SKIDS = ("free", "coupled")
+ROLES = ("train", "heldout")
+STARTS = ("rest", "moving")
+KINDS = ("commanded", "measured")
+
+CASE_KEYS = ("title", "skid", "board", "noise", "actuator", "runs")
+BOARD_KEYS = {
+    "mass_kg": "mass",
+    "rotor_inertia_kgm2": "rotor_inertia",
+    "wheelset_inertia_kgm2": "wheelset_inertia",
+    "half_length_m": "half_length",
+    "creep_speed_mps": "creep_speed",
+    "inertia_kgm2": "inertia",
+}
+NOISE_KEYS = {"position_m": "m", "heading_rad": "rad"}
+ACTUATOR_KEYS = ("kp", "kd")
+PAYLOAD_KEYS = {"payload_kg": "kg", "payload_inertia_kgm2": "kg m^2"}
+JOINT_LOG_KEYS = ("file", "kind")
+JOINTS = ("phi", "psi", "phi_back")
+RUN_KEYS = ("role", "mocap", "object", *JOINTS, "joint_log", "window_s", *PAYLOAD_KEYS, "start")
+
+_RUNS = '[[runs]] with role = "train", mocap, object, phi and psi'
+_JOINT_LOG = 'joint_log = {file = "joints.csv", kind = "commanded"}'
+
+
+class _Joints(NamedTuple):
+    """The angles of the joints of one run before any controller; `exact` where they were measured."""
+
+    phi: AbstractSignal
+    psi: AbstractSignal
+    phi_back: AbstractSignal | None
+    exact: bool
+
+
+def load_case(folder: Path | str) -> Case:
+    """The case in `folder`, as its `case.toml` says.
+
+    **Raises:** `InputError` for anything in it that cannot be used, with file, line and remedy.
+    """
+    require_x64()
+    folder = Path(folder)
+    table = read_toml(_case_file(folder))
+    table.require_known(CASE_KEYS)
+    skid = table.choice("skid", SKIDS)
+    board = _board(table.table("board", "[board] with mass_kg and the other measures"))
+    noise = _noise(table.table("noise", "")) if "noise" in table.values else None
+    gains = _gains(table.table("actuator", "")) if "actuator" in table.values else None
+    rows = table.tables("runs", _RUNS)
+    _require_runs(rows)
+    gaits = _gaits([_joints(row, folder) for row in rows], gains)
+    runs = tuple(_run(row, folder, gait) for row, gait in zip(rows, gaits, strict=True))
+    title = table.text("title", 'title = "..."') if "title" in table.values else folder.resolve().name
+    return Case(folder.resolve().name, title, skid, board, runs, noise, _sha256(folder, rows))
+
+
+def _case_file(folder: Path) -> Path:
+    path = folder / "case.toml"
+    if folder.is_file():
+        raise InputError("A case is a folder, but this is a file", str(folder), "give the folder with case.toml")
+    if not folder.is_dir():
+        raise InputError("There is no such folder", str(folder), "give the folder with case.toml")
+    if not path.is_file():
+        raise InputError("The folder has no case.toml", str(folder), "write one; `snakejax new` makes a template")
+    return path
+
+
+def _board(table: Table) -> Board:
+    table.require_known(BOARD_KEYS)
+    keys = [key for key in BOARD_KEYS if key != "inertia_kgm2" or key in table.values]
+    board = Board(**{BOARD_KEYS[key]: table.number(key, _domain(Board, BOARD_KEYS[key])) for key in keys})
+    joints = float(board.rotor_inertia + 2 * board.wheelset_inertia)
+    if float(board.total_inertia) <= joints:
+        key = "inertia_kgm2" if board.inertia is not None else "half_length_m"
+        what = f"makes the total inertia {float(board.total_inertia):g} kg m^2, not above {joints:g} of the joints"
+        raise table.error(key, what, "give inertia_kgm2 with the rotor and the wheelsets in it")
+    return board
+
+
+def _noise(table: Table) -> Noise:
+    table.require_known(NOISE_KEYS)
+    domains = {key: Domain(unit, 0.0, math.inf, True, True) for key, unit in NOISE_KEYS.items()}
+    return Noise(*(np.asarray(table.number(key, domain)) for key, domain in domains.items()), source="case.toml")
+
+
+def _gains(table: Table) -> dict[str, float]:
+    table.require_known(ACTUATOR_KEYS)
+    return {key: table.number(key, _domain(Tracked, key)) for key in ACTUATOR_KEYS}
+
+
+def _domain(cls: type, field: str) -> Domain:
+    return next(f.metadata["domain"] for f in dataclasses.fields(cls) if f.name == field)
+
+
+def _require_runs(rows: list[Table]) -> None:
+    """**Raises:** `InputError` unless the keys and roles are known, the names differ, and one run is to train on."""
+    names: dict[str, str] = {}
+    for row in rows:
+        row.require_known(RUN_KEYS)
+        row.choice("role", ROLES)
+        stem = _name(row)
+        if stem in names:
+            what = f'has the stem "{stem}", as has {names[stem]}: a stem names its run'
+            raise row.error("mocap", what, "rename one of the files")
+        names[stem] = row.label
+    if all(row.values["role"] != "train" for row in rows):
+        raise rows[0].error("role", 'is "heldout", as in all the runs: no run is to train on', 'write role = "train"')
+
+
+def _name(row: Table) -> str:
+    return Path(row.text("mocap", 'mocap = "file.csv"')).stem
+
+
+def _file(table: Table, key: str, folder: Path) -> Path:
+    name = table.text(key, f'{key} = "file.csv"')
+    path = folder / name
+    if not path.is_file():
+        there = sorted(p.relative_to(folder).as_posix() for p in folder.glob("*.csv"))
+        close = difflib.get_close_matches(name, there, 1)
+        remedy = f'write "{close[0]}" or add the file' if close else "add the file or correct its name"
+        raise table.error(key, f'names "{name}", but there is no such file', remedy)
+    return path
+
+
+def _log_file(row: Table, folder: Path) -> tuple[Path, str]:
+    log = row.table("joint_log", _JOINT_LOG)
+    log.require_known(JOINT_LOG_KEYS)
+    return _file(log, "file", folder), log.choice("kind", KINDS)
+
+
+def _joints(row: Table, folder: Path) -> _Joints:
+    if "joint_log" in row.values:
+        path, kind = _log_file(row, folder)
+        times, *angles = read_joint_log(path)
+        signals = [None if angle is None else Logged.of(times, angle) for angle in angles]
+        return _Joints(*signals, exact=kind == "measured")
+    keys = [key for key in JOINTS if key != "phi_back" or key in row.values]
+    signals = [Sines.of(row.numbers(key, 3, f"{key} = [[amplitude, frequency, phase], ...]")) for key in keys]
+    return _Joints(*signals, *[None] * (len(JOINTS) - len(keys)), exact=False)
+
+
+def _gaits(joints: list[_Joints], gains: dict[str, float] | None) -> list[Gait]:
+    """The gaits of all runs, alike in structure so that runs batch: as many sines, and a back steering all or none."""
+    if any(j.phi_back is not None for j in joints):
+        joints = [j if j.phi_back is not None else j._replace(phi_back=_opposite(j.phi)) for j in joints]
+    sines = [s.amplitude.shape[0] for j in joints for s in j[: len(JOINTS)] if isinstance(s, Sines)]
+
+    def driven(signal: AbstractSignal | None, exact: bool) -> AbstractSignal | None:
+        if isinstance(signal, Sines):
+            signal = signal.padded(max(sines))
+        return signal if signal is None or exact or gains is None else Tracked(signal, **gains)
+
+    return [Gait(*(driven(signal, j.exact) for signal in j[: len(JOINTS)])) for j in joints]
+
+
+def _opposite(signal: AbstractSignal) -> AbstractSignal:
+    if isinstance(signal, Logged):
+        return Logged(signal.knots, -signal.coefficients)
+    return Sines(-signal.amplitude, signal.frequency, signal.phase)
+
+
+def _run(row: Table, folder: Path, gait: Gait) -> Run:
+    track = read_track(_file(row, "mocap", folder), row.text("object", 'object = "subject:segment"'))
+    moving = "start" in row.values and row.choice("start", STARTS) == "moving"
+    times, pose = track.times, track.pose
+    if "window_s" in row.values:
+        times, pose = _windowed(row, times, pose, 0.5 / track.rate, moving)
+    if "joint_log" in row.values:
+        _require_covered(row, folder, times if moving else [0.0, times[-1]], 1.0 / track.rate)
+    domains = {key: Domain(unit, 0.0, math.inf, False, False) for key, unit in PAYLOAD_KEYS.items()}
+    payload = [row.number(key, domain) if key in row.values else 0.0 for key, domain in domains.items()]
+    return Run(_name(row), row.values["role"], *map(jnp.asarray, (times, pose)), gait, jnp.asarray(payload, jnp.float64), moving)
+
+
+def _windowed(
+    row: Table, times: np.ndarray, pose: np.ndarray, slack: float, moving: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """The samples of the window. A run from rest keeps its frames before it, as lost: its time 0 stays its start."""
+    example = "window_s = [first second, last second]"
+    first, last = row.vector("window_s", 2, example)
+    if not -slack <= first < last <= times[-1] + slack:
+        what = f"is [{first:g}, {last:g}], but the run goes from 0 to {times[-1]:g} s"
+        raise row.error("window_s", what, f"write {example} within the run")
+    before, upto = times < first - slack, times <= last + slack
+    pose = np.where(before[:, None], np.nan, pose)
+    present = int(np.isfinite(pose[upto, 0]).sum())
+    if present < FEWEST_SAMPLES:
+        what = f"leaves {present} present samples, but at least {FEWEST_SAMPLES} are needed"
+        raise row.error("window_s", what, "widen the window")
+    kept = upto & ~before if moving else upto
+    return times[kept], pose[kept]
+
+
+def _require_covered(row: Table, folder: Path, times: Sequence[float], slack: float) -> None:
+    path, _ = _log_file(row, folder)
+    log = read_joint_log(path).times
+    if log[0] > times[0] + slack or log[-1] < times[-1] - slack:
+        what = f"goes from {log[0]:g} to {log[-1]:g} s, but the run from {times[0]:g} to {times[-1]:g} s"
+        raise row.error("joint_log", f"is shorter than the run: {path.name} {what}", "log it all, or set window_s")
+
+
+def _sha256(folder: Path, rows: list[Table]) -> dict[str, str]:
+    logs = [row.values["joint_log"]["file"] for row in rows if "joint_log" in row.values]
+    names = ["case.toml", *(row.values["mocap"] for row in rows), *logs]
+    return {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in names}

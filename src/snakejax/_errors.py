@@ -1,0 +1,31 @@
+"""The one sentence form for every complaint about a user's input."""
+
+import difflib
+from collections.abc import Iterable
+
+
+class InputError(ValueError):
+    """An input that cannot be used: `WHAT is wrong, WHERE: how to mend it`, on one line.
+
+    **Arguments:** `what` is wrong; `where`: the file and line, the run, or the option; `remedy`: how to mend it.
+    """
+
+    def __init__(self, what: str, where: str, remedy: str) -> None:
+        super().__init__(what, where, remedy)
+        self.what, self.where, self.remedy = what, where, remedy
+
+    def __str__(self) -> str:
+        return " ".join(f"{self.what}, {self.where}: {self.remedy}".split())
+
+
+def at_line(path: object, line: int) -> str:
+    """`FILE line N`, as complaints name a place."""
+    return f"{path} line {line}"
+
+
+def instead_of(word: str, known: Iterable[str]) -> str:
+    """The remedy for an unknown `word`: the nearest known one where something is near, and all of them."""
+    known = list(known)
+    close = difflib.get_close_matches(word, known, 1)
+    listed = f"known: {', '.join(known) or 'none'}"
+    return f'write "{close[0]}" ({listed})' if close else f"remove it or write one that is known ({listed})"
