@@ -1,0 +1,83 @@
+"""What resists motion along, across and about the board."""
+
+import jax.numpy as jnp
+
+from .._effect import Force, Motion, Rolling, Wheel, Wrench
+from .._math import safe_norm
+from .._units import Scalar, param
+
+
+class LongitudinalSlip(Rolling):
+    """T_i = k a_i: the wheels slip along their rolling direction (the paper's hypothesis for its forward gait)."""
+
+    sentence = "The wheels lose drive by slipping along their rolling direction, in proportion to speed."
+    k: Scalar = param("N s/m", low=0.0, default=0.0)
+
+    def resistance(self, wheel: Wheel, motion: Motion) -> Scalar:
+        del motion
+        return self.k * wheel.rolling
+
+
+class RollingResistance(Rolling):
+    """T_i = f tanh(a_i / 5 mm/s): nearly constant, always against the rolling."""
+
+    sentence = "Each wheelset resists rolling with a constant force."
+    f: Scalar = param("N", low=0.0, default=0.0)
+
+    def resistance(self, wheel: Wheel, motion: Motion) -> Scalar:
+        del motion
+        return self.f * jnp.tanh(wheel.rolling / 0.005)
+
+
+class BodyDrag(Force):
+    """(X, Y) -= c (u, w)."""
+
+    sentence = "The body drags in proportion to speed: casters, a trailing cable."
+    c: Scalar = param("N s/m", low=0.0, default=0.0)
+
+    def wrench(self, motion: Motion) -> Wrench:
+        return -self.c * motion.u, -self.c * motion.w, jnp.zeros_like(motion.r)
+
+
+class QuadraticDrag(Force):
+    """(X, Y) -= c |(u, w)| (u, w)."""
+
+    sentence = "The body drags with the square of speed, as in air."
+    c: Scalar = param("N s^2/m^2", low=0.0, default=0.0)
+
+    def wrench(self, motion: Motion) -> Wrench:
+        speed = safe_norm(motion.u, motion.w)
+        return -self.c * speed * motion.u, -self.c * speed * motion.w, jnp.zeros_like(motion.r)
+
+
+class YawDamping(Force):
+    """N -= c r."""
+
+    sentence = "Turning is damped in proportion to the yaw rate."
+    c: Scalar = param("N m s", low=0.0, default=0.0)
+
+    def wrench(self, motion: Motion) -> Wrench:
+        zero = jnp.zeros_like(motion.r)
+        return zero, zero, -self.c * motion.r
+
+
+class YawFriction(Force):
+    """N -= t tanh(r / 0.02 rad/s)."""
+
+    sentence = "Turning is resisted by a constant moment: casters scrub."
+    t: Scalar = param("N m", low=0.0, default=0.0)
+
+    def wrench(self, motion: Motion) -> Wrench:
+        zero = jnp.zeros_like(motion.r)
+        return zero, zero, -self.t * jnp.tanh(motion.r / 0.02)
+
+
+class YawBias(Force):
+    """N += t."""
+
+    sentence = "A constant moment turns the board: a twisted cable, a rotor drive that leans on the body."
+    t: Scalar = param("N m", default=0.0)
+
+    def wrench(self, motion: Motion) -> Wrench:
+        zero = jnp.zeros_like(motion.r)
+        return zero, zero, zero + self.t
