@@ -1,0 +1,19 @@
+"""What every test takes for granted: double precision, and no silent change of type or of rank."""
+
+from pathlib import Path
+
+import jax
+import pytest
+
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+jax.config.update("jax_numpy_rank_promotion", "raise")
+
+
+@pytest.fixture(scope="session")
+def recordings() -> Path:
+    """The folder of the large recordings, which lies beside the repository and does not travel with it."""
+    folder = Path(__file__).resolve().parents[2] / "shared" / "recordings"
+    if not folder.is_dir():
+        pytest.skip("The large recordings are not here: they belong in ../shared/recordings.")
+    return folder
