@@ -189,7 +189,8 @@ def _run(row: Table, folder: Path, gait: Gait) -> Run:
         _require_covered(row, folder, times if moving else [0.0, times[-1]], 1.0 / track.rate)
     domains = {key: Domain(unit, 0.0, math.inf, False, False) for key, unit in PAYLOAD_KEYS.items()}
     payload = [row.number(key, domain) if key in row.values else 0.0 for key, domain in domains.items()]
-    return Run(_name(row), row.values["role"], *map(jnp.asarray, (times, pose)), gait, jnp.asarray(payload, jnp.float64), moving)
+    times, pose, payload = (jnp.asarray(part, jnp.float64) for part in (times, pose, payload))
+    return Run(_name(row), row.values["role"], times, pose, gait, payload, moving)
 
 
 def _windowed(

@@ -171,8 +171,8 @@ def _repeats(run: Run) -> Findings:
     starts, lengths = edges[::2], edges[1::2] - edges[::2] + 1
     if lengths.size and lengths.max() >= FROZEN_FRAMES:
         longest = int(lengths.argmax())
-        at = times[starts[longest]]
-        yield f"the pose is frozen for {lengths[longest]} frames at {at:.2f} s ({same.sum()} repeats in all)", "doubtful"
+        where = f"{lengths[longest]} frames at {times[starts[longest]]:.2f} s"
+        yield f"the pose is frozen for {where} ({same.sum()} repeats in all)", "doubtful"
     elif same.any():
         yield f"{same.sum()} frames repeat the pose before them", "doubtful"
     apart = pose[_present(run)]
@@ -186,7 +186,8 @@ def _half_turns(run: Run) -> Findings:
     present, times = np.flatnonzero(_present(run)), np.asarray(run.times)
     turns = np.abs(np.diff(np.asarray(run.pose)[present, 2]))
     for i in np.flatnonzero(turns > NEAR_PI)[:1]:
-        yield f"the heading turns by {turns[i]:.2f} rad between samples at {times[present[i]]:.2f} s: which way?", "doubtful"
+        what = f"the heading turns by {turns[i]:.2f} rad between samples"
+        yield f"{what} at {times[present[i]]:.2f} s: which way?", "doubtful"
 
 
 def _start(run: Run) -> Findings:
@@ -202,7 +203,8 @@ def _start(run: Run) -> Findings:
         variance = float(rest @ rest) / (times.size - 4) * np.linalg.inv(basis.T @ basis)[1, 1]
         if abs(coefficients[1]) > REST_SPEED[name] + 5 * np.sqrt(variance):
             unit = "rad/s" if name == "heading" else "m/s"
-            yield f"{name} already moves at {coefficients[1]:.2g} {unit} at the start, which is to be at rest", "doubtful"
+            what = f"{name} already moves at {coefficients[1]:.2g} {unit} at the start"
+            yield f'{what}, which is to be at rest: start = "moving"?', "doubtful"
 
 
 def _range(run: Run) -> Findings:

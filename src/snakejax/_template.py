@@ -1,0 +1,76 @@
+"""A commented `case.toml` to start from."""
+
+from pathlib import Path
+
+from ._errors import InputError
+
+_TEMPLATE = """\
+# A case: a board and its recorded runs. Units are in the names of the keys.
+title = "my snakeboard"             # free text; may be left out
+skid = "free"                       # what to start from: "free" (each wheelset skids by itself) or "coupled"
+
+[board]
+mass_kg = 7.0                       # all of it: board, rotor, wheelsets
+rotor_inertia_kgm2 = 0.0238         # of the rotor about its axis
+wheelset_inertia_kgm2 = 0.001       # of one wheelset about its pivot
+half_length_m = 0.25                # from the middle to a wheelset
+creep_speed_mps = 0.01              # below this wheel speed slip forces fade out
+# inertia_kgm2 = 0.4375             # yaw inertia of all of it, with rotor and wheelsets; left out: m L^2
+
+# Standard deviation of one sample. Leave the table out and it is estimated from the recordings.
+# [noise]
+# position_m = 0.0004
+# heading_rad = 0.0025
+
+# Gains of the joint controllers, joints at zero and at rest at t = 0. Leave the table out where the joints
+# follow their commands exactly, rates included.
+[actuator]
+kp = 100.0                          # 1/s^2
+kd = 10.0                           # 1/s
+
+# One table for each run. Fit on "train" runs; "heldout" runs check what the fit predicts.
+[[runs]]
+role = "train"
+mocap = "train-1.csv"               # Vicon Tracker CSV (Objects or Segments); its stem names the run
+object = "board:board"              # subject:segment, as in the third row of the file
+# Commanded angles: [[amplitude rad, angular frequency rad/s, phase rad], ...], each a sin(w t + p), summed
+phi = [[0.916, 4.0, 0.0]]           # steering of the front wheelset; [] stays at zero
+psi = [[1.57, 4.0, 0.0]]            # rotor
+# phi_back = [[0.9, 4.0, 3.1416]]   # steering of the back wheelset, same sense; left out: opposite of phi
+# A CSV with columns time_s, phi_rad, psi_rad and, if wanted, phi_back_rad replaces phi, psi and phi_back.
+# "commanded" angles pass through [actuator]; "measured" ones are what the joints did.
+# joint_log = {file = "joints.csv", kind = "measured"}
+# window_s = [0.5, 8.0]             # use the samples from 0.5 to 8 s after the first row only
+# payload_kg = 2.0                  # extra mass at the centre of mass in this run
+# payload_inertia_kgm2 = 0.01       # and its yaw inertia
+# start = "rest"                    # or "moving": already under way at the first sample used
+
+[[runs]]
+role = "heldout"
+mocap = "heldout-1.csv"
+object = "board:board"
+phi = [[0.7, 3.0, 0.0]]
+psi = [[1.4, 3.0, 3.14159265]]
+"""
+
+
+def template() -> str:
+    """A `case.toml` with the board of Table II, two runs, and every key explained in a comment."""
+    return _TEMPLATE
+
+
+def write_template(folder: Path | str) -> Path:
+    """Write `template()` to `case.toml` in `folder`, made where it is not there; the path written.
+
+    **Raises:** `InputError` where there already is a `case.toml`, or `folder` cannot be written.
+    """
+    path = Path(folder) / "case.toml"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("x", encoding="utf-8") as file:
+            file.write(template())
+    except FileExistsError:
+        raise InputError("There is something already, and it is kept", str(path), "name another folder") from None
+    except OSError as error:
+        raise InputError(f"Cannot write ({error.strerror})", str(path), "name a folder you may write to") from None
+    return path
