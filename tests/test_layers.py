@@ -12,10 +12,15 @@ import pytest
 SOURCE = Path(__file__).resolve().parents[1] / "src" / "snakejax"
 
 # From the bottom up. A package (`effects`, `readers`) is one place in the order; its files may share among themselves.
-ORDER = (
-    "_errors _units _math _tyre _board _gait _recording _effect _skid _model _simulate effects readers _toml _case "
-    "_check _template _sweep _fit _compare _diagnose _missing _explain _tune report plot _cli __main__ __init__"
-).split()  # noqa: SIM905
+# fmt: off
+ORDER = [
+    "_errors", "_units", "_math", "_tyre", "_board", "_gait", "_recording", "_estimate_noise", "_batch",
+    "_effect", "_skid", "_model", "_simulate",
+    "effects", "readers", "_toml", "_case", "_check", "_template",
+    "_sweep", "_fit", "_compare", "_diagnose", "_missing", "_explain", "_tune",
+    "report", "plot", "_cli", "__main__", "__init__",
+]
+# fmt: on
 CORE = ORDER[: ORDER.index("effects")]
 ONLY_IN = {"diffrax": {"_simulate", "_sweep"}, "optimistix": {"_fit"}}
 
