@@ -1,5 +1,6 @@
-"""What a case holds, and what in it is doubtful."""
+"""What a case holds, what in it is doubtful, and how noisy it is."""
 
+import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -7,12 +8,11 @@ from typing import Literal, NamedTuple
 import equinox as eqx
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from ._errors import InputError
-from ._estimate_noise import estimate_noise as estimate_noise
-from ._estimate_noise import robust_sd
 from ._gait import AbstractSignal, Tracked
-from ._recording import Case, Run
+from ._recording import Case, Noise, Run
 
 Severity = Literal["note", "doubtful"]
 
@@ -27,6 +27,10 @@ FARTHEST, NEAREST = 100.0, 1e-3
 NOISE_FACTOR = 2.0
 REST_WINDOW = 0.25
 REST_SPEED = {"x": 0.05, "y": 0.05, "heading": 0.3}
+ORDER = 5
+CLIP = 4.0
+FEWEST_DIFFERENCES = 30
+MAD_TO_SD = 1.4826
 CHANNELS = ("x", "y", "heading")
 
 
@@ -149,7 +153,7 @@ def _jumps(run: Run) -> Findings:
     for name, channel in zip(CHANNELS, pose.T, strict=True):
         bend = np.diff(channel, 2)
         bend[~np.isfinite(bend)] = 0.0
-        limit = JUMP_SDS * robust_sd(bend[bend != 0.0])
+        limit = JUMP_SDS * _robust_sd(bend[bend != 0.0])
         far = np.abs(bend) > limit
         peaks = np.flatnonzero(far & (np.abs(bend) >= _neighbours(np.abs(bend))))
         if limit > 0 and peaks.size:
@@ -225,3 +229,43 @@ def _steering(run: Run) -> Findings:
         steepest = float(np.abs(jax.vmap(lambda t, c=command: c.at(t).angle)(run.times)).max())
         if steepest > STEEPEST:
             yield f"{name} is commanded to {np.rad2deg(steepest):.0f} degrees: beyond 80 wheels may hit", "doubtful"
+
+
+def _robust_sd(values: Float[np.ndarray, " n"]) -> float:
+    """The standard deviation that the median absolute deviation of `values` has for a normal distribution."""
+    return MAD_TO_SD * float(np.median(np.abs(values - np.median(values)))) if values.size else 0.0
+
+
+def estimate_noise(runs: Sequence[Run]) -> Noise:
+    """The standard deviation of one sample of position (x and y pooled) and of heading over all `runs`.
+
+    White noise of variance s^2 on a smooth motion has k-th differences of variance C(2k, k) s^2, and the motion's own
+    k-th difference falls with the k-th power of the frame time. k = 5, over frames that are all present; what lies
+    beyond 4 robust standard deviations is left out, and the share of a normal distribution out there restored.
+
+    **Raises:** `InputError` where fewer than 30 differences are whole, or the samples repeat so that no noise is seen.
+    """
+    poses = [np.asarray(run.pose) for run in runs]
+    position = np.concatenate([_differences(pose[:, i]) for pose in poses for i in (0, 1)])
+    heading = np.concatenate([_differences(pose[:, 2]) for pose in poses])
+    return Noise(*(np.asarray(_clipped_sd(d)) for d in (position, heading)), source="estimated from the recordings")
+
+
+def _differences(channel: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
+    difference = np.diff(channel, ORDER)
+    return difference[np.isfinite(difference)] / math.sqrt(math.comb(2 * ORDER, ORDER))
+
+
+def _clipped_sd(difference: Float[np.ndarray, " m"]) -> float:
+    if difference.size < FEWEST_DIFFERENCES:
+        what = f"Only {difference.size} stretches of {ORDER + 1} frames are whole: too few to estimate the noise"
+        raise InputError(what, "all runs", "give position_m and heading_rad under [noise] in case.toml")
+    limit = CLIP * _robust_sd(difference)
+    inside = difference[np.abs(difference) <= limit]
+    # Variance of a standard normal cut off at +-CLIP.
+    left = 1 - 2 * CLIP * math.exp(-(CLIP**2) / 2) / math.sqrt(2 * math.pi) / math.erf(CLIP / math.sqrt(2))
+    sd = float(np.sqrt(np.mean(inside**2) / left))
+    if not sd > 0:
+        what = "Most samples repeat the one before, so that no noise can be estimated"
+        raise InputError(what, "all runs", "give position_m and heading_rad under [noise] in case.toml")
+    return sd
