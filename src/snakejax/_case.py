@@ -47,9 +47,9 @@ _JOINT_LOG = 'joint_log = {file = "joints.csv", kind = "commanded"}'
 class _Joints(NamedTuple):
     """The angles of the joints of one run before any controller; `exact` where they were measured."""
 
-    phi: AbstractSignal
-    psi: AbstractSignal
-    phi_back: AbstractSignal | None
+    phi: Sines | Logged
+    psi: Sines | Logged
+    phi_back: Sines | Logged | None
     exact: bool
 
 
@@ -165,7 +165,7 @@ def _gaits(joints: list[_Joints], gains: dict[str, float] | None) -> list[Gait]:
         joints = [j if j.phi_back is not None else j._replace(phi_back=_opposite(j.phi)) for j in joints]
     sines = [s.amplitude.shape[0] for j in joints for s in j[: len(JOINTS)] if isinstance(s, Sines)]
 
-    def driven(signal: AbstractSignal | None, exact: bool) -> AbstractSignal | None:
+    def driven(signal: Sines | Logged | None, exact: bool) -> AbstractSignal | None:
         if isinstance(signal, Sines):
             signal = signal.padded(max(sines))
         return signal if signal is None or exact or gains is None else Tracked(signal, **gains)
@@ -173,7 +173,7 @@ def _gaits(joints: list[_Joints], gains: dict[str, float] | None) -> list[Gait]:
     return [Gait(*(driven(signal, j.exact) for signal in j[: len(JOINTS)])) for j in joints]
 
 
-def _opposite(signal: AbstractSignal) -> AbstractSignal:
+def _opposite(signal: Sines | Logged) -> Sines | Logged:
     if isinstance(signal, Logged):
         return Logged(signal.knots, -signal.coefficients)
     return Sines(-signal.amplitude, signal.frequency, signal.phase)

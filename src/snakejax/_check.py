@@ -89,7 +89,7 @@ Findings = Iterator[tuple[str, Severity]]
 
 
 def _present(run: Run) -> np.ndarray:
-    return np.isfinite(np.asarray(run.pose)).all(axis=1)
+    return np.asarray(np.isfinite(run.pose).all(axis=1))
 
 
 def _rate(run: Run) -> float:
