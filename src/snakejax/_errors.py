@@ -26,6 +26,6 @@ def at_line(path: object, line: int) -> str:
 def instead_of(word: str, known: Iterable[str]) -> str:
     """The remedy for an unknown `word`: the nearest known one where something is near, and all of them."""
     known = list(known)
-    close = difflib.get_close_matches(word, known, 1)
+    close = difflib.get_close_matches(word, known, 1, cutoff=0.5)
     listed = f"known: {', '.join(known) or 'none'}"
     return f'write "{close[0]}" ({listed})' if close else f"remove it or write one that is known ({listed})"
