@@ -14,7 +14,7 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / "snakejax"
 # From the bottom up. A package (`effects`, `readers`) is one place in the order; its files may share among themselves.
 # fmt: off
 ORDER = [
-    "_errors", "_units", "_math", "_tyre", "_board", "_gait", "_recording", "_estimate_noise", "_batch",
+    "_errors", "_units", "_math", "_tyre", "_board", "_gait", "_recording", "_batch",
     "_effect", "_skid", "_model", "_simulate",
     "effects", "readers", "_toml", "_case", "_check", "_template",
     "_sweep", "_fit", "_compare", "_diagnose", "_missing", "_explain", "_tune",
