@@ -162,6 +162,7 @@ def test_log_with_the_back(tmp_path):
     assert heldout.gait.phi_back is not None
 
 
+BOARDLESS = TOML[: TOML.index("[board]")] + TOML[TOML.index("[noise]") :]
 # (text, a text in the line that is named, what is wrong, remedy)
 COMPLAINTS = {
     "unknown key": (TOML.replace("mass_kg", "mas_kg"), "mas_kg", 'Unknown key "mas_kg" in [board]', 'write "mass_kg"'),
@@ -183,7 +184,8 @@ COMPLAINTS = {
     "truth for a number": (TOML.replace("7.0", "true"), "mass_kg", "must be a number", "in kg"),
     "number for text": (TOML.replace('"a test"', "3"), "title", "must be a string", "title ="),
     "missing key": (TOML.replace("half_length_m = 0.25\n", ""), "[board]", "Missing key half_length_m in [board]", ""),
-    "missing board": (TOML[: TOML.index("[board]")] + TOML[TOML.index("[noise]") :], "title", "Missing key board", "add [board]"),
+    "missing board": (BOARDLESS, "title", "Missing key board", "add [board]"),
+    "noise as an array": (TOML.replace("[noise]", "[[noise]]"), "[[noise]]", "must be a table", "write [noise] with"),
     "missing psi": (TOML.replace("psi = [[1.5, 4.0, 0.0]]\n", ""), "[[runs]]", "Missing key psi in [[runs]] 1", "add"),
     "role": (TOML.replace('"train"', '"trian"'), "trian", "role in [[runs]] 1 cannot be 'trian'", 'write "train"'),
     "skid": (TOML.replace('"free"', '"loose"'), "skid", "cannot be 'loose'", "known: free, coupled"),

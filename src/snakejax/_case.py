@@ -64,8 +64,8 @@ def load_case(folder: Path | str) -> Case:
     table.require_known(CASE_KEYS)
     skid = table.choice("skid", SKIDS)
     board = _board(table.table("board", "[board] with mass_kg and the other measures"))
-    noise = _noise(table.table("noise", "")) if "noise" in table.values else None
-    gains = _gains(table.table("actuator", "")) if "actuator" in table.values else None
+    noise = _noise(table.table("noise", "[noise] with position_m and heading_rad")) if "noise" in table.values else None
+    gains = _gains(table.table("actuator", "[actuator] with kp and kd")) if "actuator" in table.values else None
     rows = table.tables("runs", _RUNS)
     _require_runs(rows)
     gaits = _gaits([_joints(row, folder) for row in rows], gains)
