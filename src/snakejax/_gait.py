@@ -79,6 +79,16 @@ class Logged(AbstractSignal):
             raise ValueError("The times of a joint log must be finite and increase, and its angles must be finite.")
         return Logged(jnp.asarray(times), jnp.asarray(CubicSpline(times, angles, bc_type="natural").c))
 
+    def padded(self, samples: int) -> "Logged":
+        """The same signal with `samples` knots, the new ones after its end, where it stays."""
+        extra = samples - self.knots.shape[0]
+        if extra <= 0:
+            return self
+        d, (c3, c2, c1, c0) = self.knots[-1] - self.knots[-2], self.coefficients[:, -1]
+        stay = jnp.zeros((4, extra)).at[3].set(((c3 * d + c2) * d + c1) * d + c0)
+        knots = jnp.concatenate([self.knots, self.knots[-1] + jnp.arange(1.0, extra + 1)])
+        return Logged(knots, jnp.concatenate([self.coefficients, stay], axis=1))
+
     def at(self, t: Scalar) -> Joint:
         inside = (t >= self.knots[0]) & (t <= self.knots[-1])
         held = jnp.clip(t, self.knots[0], self.knots[-1])

@@ -1,0 +1,128 @@
+"""Runs side by side: recorded runs of different length and gait as one block of arrays."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ._gait import AbstractSignal, Gait, Logged, Scaled, Sines, Tracked
+from ._recording import Noise, Run
+
+
+class Batch(eqx.Module):
+    """`R` runs of `n` samples each, the shorter ones padded with samples of weight zero.
+
+    `weight` (R, n, 3) is one over the noise's standard deviation, zero where a sample is missing. `start` (R, S) is a
+    first guess of where each run starts, `free_start` (R, S) is 1 where it is to be estimated; S is 3 (pose) where all
+    runs start at rest, else 6 (pose and velocities).
+    """
+
+    times: Float[Array, "R n"]
+    pose: Float[Array, "R n 3"]
+    weight: Float[Array, "R n 3"]
+    gait: Gait
+    payload: Float[Array, "R 2"]
+    start: Float[Array, "R S"]
+    free_start: Float[Array, "R S"]
+
+    @property
+    def present(self) -> Float[Array, "R n 3"]:
+        """1 for a sample that was seen, 0 for one that was not."""
+        return jnp.where(self.weight > 0, 1.0, 0.0)
+
+
+def batch(runs: Sequence[Run], noise: Noise) -> Batch:
+    """Put `runs` side by side, each sample weighted by `noise`.
+
+    **Raises:** `ValueError` for no runs, or a run of fewer than two present samples.
+    """
+    if not runs:
+        raise ValueError("There are no runs to fit.")
+    for run in runs:
+        if np.isfinite(np.asarray(run.pose)).all(axis=1).sum() < 2:
+            raise ValueError(f"Run `{run.name}` has fewer than two samples.")
+    length = -(-max(run.times.shape[0] for run in runs) // 50) * 50
+    sd = np.asarray(noise.channels)
+    times, pose, weight = [], [], []
+    for run in runs:
+        t, seen = np.asarray(run.times), np.asarray(run.pose)
+        extra = length - t.shape[0]
+        times.append(np.concatenate([t, t[-1] + 1e-6 * np.arange(1, extra + 1)]))
+        present = np.isfinite(seen)
+        pose.append(np.pad(np.where(present, seen, 0.0), ((0, extra), (0, 0))))
+        weight.append(np.pad(present / sd, ((0, extra), (0, 0))))
+    moving = np.array([run.moving for run in runs])
+    poses = np.array([first_pose(run) for run in runs])
+    if moving.any():
+        velocities = np.array([_first_velocity(run) if run.moving else np.zeros(3) for run in runs])
+        start = np.concatenate([poses, velocities], axis=1)
+        free = np.concatenate([np.ones_like(poses), np.repeat(moving[:, None], 3, axis=1)], axis=1)
+    else:
+        start, free = poses, np.ones_like(poses)
+    return Batch(
+        *(jnp.asarray(np.array(part)) for part in (times, pose, weight)),
+        stacked_gaits([run.gait for run in runs], float(max(t[-1] for t in times))),
+        jnp.stack([jnp.asarray(run.payload) for run in runs]),
+        jnp.asarray(start),
+        jnp.asarray(free, jnp.float64),
+    )
+
+
+def first_pose(run: Run) -> np.ndarray:
+    """Median pose (3,) of the first five samples that were seen."""
+    seen = np.asarray(run.pose)
+    seen = seen[np.isfinite(seen).all(axis=1)]
+    return np.median(seen[:5], axis=0)
+
+
+def _first_velocity(run: Run) -> np.ndarray:
+    """Forward speed, zero, yaw rate (3,) over the first fifth of a second, from straight lines."""
+    t, seen = np.asarray(run.times), np.asarray(run.pose)
+    use = np.isfinite(seen).all(axis=1) & (t <= t[0] + 0.2)
+    if use.sum() < 3:
+        return np.zeros(3)
+    slope = np.polyfit(t[use] - t[0], seen[use], 1)[0]
+    heading = seen[use][0, 2]
+    return np.array([slope[0] * np.cos(heading) + slope[1] * np.sin(heading), 0.0, slope[2]])
+
+
+def stacked_gaits(gaits: Sequence[Gait], until: float) -> Gait:
+    """One gait whose arrays have a leading axis over `gaits`; unlike kinds are sampled into logs up to `until` [s]."""
+    if any(gait.phi_back is not None for gait in gaits):
+        gaits = [Gait(g.phi, g.psi, Scaled(g.phi, -1.0) if g.phi_back is None else g.phi_back) for g in gaits]
+    if len({_kinds(gait) for gait in gaits}) > 1:
+        gaits = [jax.tree.map(lambda s: _sampled(s, until), gait, is_leaf=_is_signal) for gait in gaits]
+    sizes = [leaf.shape[-1] for gait in gaits for leaf in jax.tree.leaves(gait) if leaf.ndim]
+    gaits = [_padded(gait, max(sizes)) for gait in gaits]
+    return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]), *gaits)
+
+
+def _is_signal(node) -> bool:
+    return isinstance(node, AbstractSignal)
+
+
+def _kinds(gait: Gait) -> str:
+    return str(jax.tree.structure(gait))
+
+
+def _sampled(signal: AbstractSignal, until: float) -> Logged:
+    times = np.arange(0.0, until + 0.01, 0.005)
+    return Logged.of(times, jax.vmap(signal.at)(jnp.asarray(times)).angle)
+
+
+def _padded(gait: Gait, size: int) -> Gait:
+    def pad(signal: AbstractSignal) -> AbstractSignal:
+        if isinstance(signal, Sines):
+            return signal.padded(size)
+        if isinstance(signal, Logged):
+            return signal.padded(size)
+        if isinstance(signal, Tracked):
+            return eqx.tree_at(lambda s: s.command, signal, pad(signal.command))
+        if isinstance(signal, Scaled):
+            return eqx.tree_at(lambda s: s.signal, signal, pad(signal.signal))
+        return signal
+
+    return jax.tree.map(pad, gait, is_leaf=_is_signal)
