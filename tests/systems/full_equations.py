@@ -30,7 +30,7 @@ snakeboard", CDC 2016. SI units and radians throughout, except in `bakker_coeffi
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import atan, cos, hypot, sin, tan
+from math import atan, cos, hypot, sin
 from typing import NamedTuple
 
 import numpy as np
@@ -44,13 +44,17 @@ Tyre = Callable[[float, float], float]
 
 @dataclass(frozen=True)
 class Board:
-    """Inertial parameters: mass [kg], inertia of the whole board about its centre and of its parts [kg m^2], L [m]."""
+    """Mass [kg], yaw inertia of the whole board and of its parts [kg m^2], L [m].
+
+    `offset` [m] puts the centre of mass ahead of the middle of the wheelsets; the paper has none.
+    """
 
     mass: float
     inertia: float
     rotor_inertia: float
     wheel_inertia: float
     half_length: float
+    offset: float = 0.0
 
 
 TABLE_2_BOARD = Board(mass=7.0, inertia=7.0 * 0.25**2, rotor_inertia=0.0238, wheel_inertia=0.001, half_length=0.25)
@@ -183,8 +187,8 @@ def mass_matrix(board: Board) -> np.ndarray:
 
 def _wheelsets(board: Board, steering: Steering):
     """Steering angle, its rate and the signed arm of the front and of the back wheelset."""
-    yield steering.front, steering.front_rate, board.half_length
-    yield steering.back, steering.back_rate, -board.half_length
+    yield steering.front, steering.front_rate, board.half_length - board.offset
+    yield steering.back, steering.back_rate, -board.half_length - board.offset
 
 
 def constraint_matrix(board: Board, theta: float, steering: Steering) -> np.ndarray:
@@ -317,6 +321,28 @@ def controlled_joint(desired: Sine, gait: Gait, time: float, angle: float, rate:
     return target_acceleration + gait.damping * (target_rate - rate) + gait.stiffness * (target - angle)
 
 
+def starting_velocity(
+    board: Board, theta: float, steering: Steering, speed: float, spin: float, structure: str = "coupled"
+) -> np.ndarray:
+    """qdot with a given speed along theta [m/s] and spin thetadot + betadot [rad/s], the joints still.
+
+    The constraints (3) give the rest; `ideal` has betadot = 0 in the place of the spin, and `free` neither constraints
+    nor beta, so that its sideways speed is 0.
+    """
+    along = np.array([cos(theta), sin(theta), 0.0, 0.0, 0.0, 0.0])
+    across = np.array([-sin(theta), cos(theta), 0.0, 0.0, 0.0, 0.0])
+    turning, skidding = np.eye(6)[THETA], np.eye(6)[BETA]
+    joints = np.eye(6)[[PSI, PHI]]
+    constraints = constraint_matrix(board, theta, steering)
+    rows, values = {
+        "coupled": ([*constraints, along, turning + skidding], [0.0, 0.0, speed, spin]),
+        "printed": ([*constraints, along, turning + skidding], [0.0, 0.0, speed, spin]),
+        "ideal": ([*constraints, along, skidding], [0.0, 0.0, speed, 0.0]),
+        "free": ([along, across, turning, skidding], [speed, 0.0, spin, 0.0]),
+    }[structure]
+    return np.linalg.solve(np.vstack([rows, joints]), [*values, 0.0, 0.0])
+
+
 @dataclass(frozen=True)
 class Run:
     """A trajectory: coordinates and velocities (6, times), work done by the joints [J] (times)."""
@@ -355,9 +381,8 @@ def integrate(
 ) -> Run:
     """Integrate a structure (`coupled`, `ideal`, `printed`, `free`) from times[0] with the joints at rest at zero.
 
-    `pose` is (x [m], y [m], theta [rad]) at times[0], `speed` the speed along theta [m/s] and `spin` thetadot + betadot
-    [rad/s]; with the joints at zero and no crab angle thetadot = betadot under the constraints (3). For `free` the
-    coordinate beta stays zero. `rolling_force` maps the rolling speed of a wheelset to its T_i [N].
+    `pose` is (x [m], y [m], theta [rad]) at times[0], `speed` and `spin` are those of `starting_velocity`. For `free`
+    the coordinate beta stays zero. `rolling_force` maps the rolling speed of a wheelset to its T_i [N].
     """
     front_offset, back_offset = gait.crab
 
@@ -402,19 +427,9 @@ def integrate(
         power = torques[0] * velocity[PSI] + torques[1] * velocity[PHI]
         return np.concatenate([velocity, acceleration, [power]])
 
-    theta = pose[2]
     start = np.zeros(13)
     start[[X, Y, THETA]] = pose
-    width = (tan(front_offset) + tan(back_offset)) / 2.0
-    start[6 + X] = speed * (cos(theta) - width * sin(theta))
-    start[6 + Y] = speed * (sin(theta) + width * cos(theta))
-    turn = speed * (tan(front_offset) - tan(back_offset)) / (2.0 * board.half_length)
-    if structure == "free":
-        start[6 + THETA] = spin
-    elif structure == "ideal":
-        start[6 + THETA] = turn
-    else:
-        start[[6 + THETA, 6 + BETA]] = (spin + turn) / 2.0, (spin - turn) / 2.0
+    start[6:12] = starting_velocity(board, pose[2], steer(start[:6], start[6:12]), speed, spin, structure)
     times = np.asarray(times, dtype=float)
     span = (times[0], times[-1])
     options = {"method": "DOP853", "rtol": rtol, "atol": atol, "max_step": max_step}
