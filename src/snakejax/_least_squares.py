@@ -1,5 +1,6 @@
 """Whole-run least squares: the residuals of many runs, their Jacobian, and the one room that knows optimistix."""
 
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -13,18 +14,33 @@ from jaxtyping import Array, Float, Int
 from ._batch import Batch
 from ._model import Model
 from ._simulate import Accuracy, simulate
-from ._units import parameter_vector, parameters, with_parameters
+from ._units import Domain, parameters, with_parameters
+
+
+class _LevenbergMarquardt(optx.AbstractGaussNewton):
+    """optimistix's damped Newton descent, with a trust region that widens on a fair step, not on a perfect one alone.
+
+    These residuals bend: with optimistix's own cutoff of 0.99 the damping stays large and a fit takes 3 times the steps.
+    """
+
+    rtol: float
+    atol: Float[Array, ""]
+    norm: Callable = optx.max_norm
+    descent: optx.AbstractDescent = optx.DampedNewtonDescent(linear_solver=lx.QR())
+    search: optx.AbstractSearch = optx.ClassicalTrustRegion(high_cutoff=0.5, high_constant=8.0)
+    verbose: Callable = lambda **_: None  # noqa: E731
 
 
 class Unknowns(eqx.Module):
     """A point in the space of parameters and starts, and the directions in which it may move.
 
-    `values` (P,) are all parameters of the model in the order of `parameters(model)`; row k of `directions` (K, P) moves
-    them by a step z_k: additively, or by a factor exp(z_k) where the parameter is multiplicative. A row of zeros is a
-    direction not in use, so that one compiled program serves any choice of free parameters. `start` (R, S) and
+    `values` (P,) belong to the parameters `names`, which one compiled program can move; row k of `directions` (K, P)
+    moves them by a step z_k: additively, or by a factor exp(z_k) where the parameter is multiplicative. A row of zeros
+    is a direction not in use, so that the program serves any choice of free ones among `names`. `start` (R, S) and
     `free_start` (R, S) do the same for where each run starts.
     """
 
+    names: tuple[str, ...] = eqx.field(static=True)
     values: Float[Array, " P"]
     directions: Float[Array, "K P"]
     start: Float[Array, "R S"]
@@ -47,46 +63,44 @@ class Solved(NamedTuple):
     converged: bool
 
 
-def bounds(model: Model) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(low, high, multiplicative), each (P,), of all parameters of `model`."""
-    domains = [parameter.domain for parameter in parameters(model).values()]
-    return (
-        np.array([d.low for d in domains]),
-        np.array([d.high for d in domains]),
-        np.array([d.multiplicative for d in domains]),
-    )
+def unknowns(model: Model, names: Sequence[str], free: Sequence[str], runs: Batch, width: int) -> Unknowns:
+    """The unknowns at the values `model` has, with `free` among the movable `names`, in `width` directions.
 
-
-def unknowns(model: Model, free: list[str], runs: Batch, width: int | None = None) -> Unknowns:
-    """The unknowns at the values `model` has, with `free` parameters and the starts that `runs` leave open.
-
-    `width` is the number of directions, at least as many as there are free parameters.
+    An empty name leaves its direction unused.
     """
-    names = list(parameters(model))
-    width = max(len(free), 1) if width is None else width
+    known = parameters(model)
     directions = np.zeros((width, len(names)))
     for row, name in enumerate(free):
-        directions[row, names.index(name)] = 1.0
-    return Unknowns(parameter_vector(model), jnp.asarray(directions), runs.start, runs.free_start)
+        if name:
+            directions[row, list(names).index(name)] = 1.0
+    values = jnp.asarray([float(known[name].value) for name in names])
+    return Unknowns(tuple(names), values, jnp.asarray(directions), runs.start, runs.free_start)
 
 
-def moved(model: Model, at: Unknowns, steps: Float[Array, " K"]) -> Float[Array, " P"]:
-    """The parameter values after `steps`, kept inside their domains; the derivative is one on the closed domain."""
-    low, high, multiplicative = bounds(model)
+def moved(domains: list[Domain], at: Unknowns, steps: Float[Array, " K"]) -> Float[Array, " P"]:
+    """The parameter values after `steps`; a step across a bound of the domain is reflected back inside."""
+    low, high = (np.array([getattr(domain, end) for domain in domains]) for end in ("low", "high"))
+    multiplicative = np.array([domain.multiplicative for domain in domains])
     shift = jnp.einsum("k,kp->p", steps, at.directions)
     values = jnp.where(multiplicative, at.values * jnp.exp(shift), at.values + shift)
+    above, below = values > high, values < low
+    values = jnp.where(above, 2 * np.where(np.isfinite(high), high, 0.0) - values, values)
+    values = jnp.where(below, 2 * np.where(np.isfinite(low), low, 0.0) - values, values)
+    # Only a wild step is still outside after one reflection.
     inside = (values >= low) & (values <= high)
-    return jnp.where(inside, values, jax.lax.stop_gradient(jnp.clip(values, low, high)))
+    return jnp.where(inside, values, jnp.clip(values, low, high))
 
 
-def model_at(model: Model, values: Float[Array, " P"]) -> Model:
-    """`model` with all its parameters replaced by `values`."""
-    return with_parameters(model, dict(zip(parameters(model), values, strict=True)))
+def domains_of(model: Model, names: Sequence[str]) -> list[Domain]:
+    """The domains of the parameters `names`."""
+    known = parameters(model)
+    return [known[name].domain for name in names]
 
 
-def _run_residual(model, values, start, batch: Batch, accuracy: Accuracy):
+def _run_residual(model, names, values, start, batch: Batch, accuracy: Accuracy):
     """Residual (n, 3) of one run; `batch` without its leading axis."""
-    loaded = eqx.tree_at(lambda m: m.board, model_at(model, values), replace_fn=lambda b: b.loaded(*batch.payload))
+    set_ = with_parameters(model, {name: values[k] for k, name in enumerate(names)})
+    loaded = eqx.tree_at(lambda m: m.board, set_, replace_fn=lambda b: b.loaded(*batch.payload))
     pose = simulate(loaded, batch.gait, batch.times, start, accuracy=accuracy, throw=False).pose
     return jnp.where(batch.weight > 0, (batch.pose - pose) * batch.weight, 0.0)
 
@@ -95,6 +109,7 @@ def linearise(model, at: Unknowns, batch: Batch, order, count, steps, start_step
     """Residuals and Jacobian at `at` moved by `steps` (K,) and `start_steps` (R, S), for runs `order[:count]` alone."""
     width, depth = at.directions.shape[0], at.start.shape[1]
     R, n = batch.times.shape
+    domains = domains_of(model, at.names)
 
     def one(run: Int[Array, ""], out: Linearised) -> Linearised:
         k = order[run]
@@ -102,8 +117,8 @@ def linearise(model, at: Unknowns, batch: Batch, order, count, steps, start_step
         piece, start, free, shift = mine
 
         def residual(z):
-            values = moved(model, at, steps + z[:width])
-            return _run_residual(model, values, start + free * (shift + z[width:]), piece, accuracy)
+            values = moved(domains, at, steps + z[:width])
+            return _run_residual(model, at.names, values, start + free * (shift + z[width:]), piece, accuracy)
 
         zero = jnp.zeros(width + depth)
         r, J = jax.vmap(lambda d: jax.jvp(residual, (zero,), (d,)), out_axes=(None, -1))(jnp.eye(width + depth))
@@ -124,9 +139,12 @@ def _robust(r, J, threshold):
 
 
 @eqx.filter_jit
-def _solve(model, at: Unknowns, batch: Batch, order, count, scale, start_scale, tolerance, threshold, accuracy):
+def _solve(
+    model, at: Unknowns, batch: Batch, order, count, scale, start_scale, prior, tolerance, threshold, accuracy
+):
     width, depth = at.directions.shape[0], at.start.shape[1]
     R = batch.times.shape[0]
+    pull, strength = prior
 
     def residuals(z, _):
         fixed = jax.lax.stop_gradient(z)
@@ -137,18 +155,18 @@ def _solve(model, at: Unknowns, batch: Batch, order, count, scale, start_scale, 
         dz, dstart = (z - fixed)[:width] * scale, (z - fixed)[width:].reshape(R, depth) * start_scale
         # The value is r; the derivative is the Jacobian just computed, run by run.
         linear = r + jnp.einsum("rnck,k->rnc", J[..., :width], dz) + jnp.einsum("rncs,rs->rnc", J[..., width:], dstart)
-        return linear, out
+        return (linear, strength * (z[:width] * scale - pull)), out
 
     solution = optx.least_squares(
         residuals,
-        optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance, linear_solver=lx.QR()),
+        _LevenbergMarquardt(rtol=1e-6, atol=tolerance),
         jnp.zeros(width + R * depth),
         has_aux=True,
         max_steps=100,
         throw=False,
     )
     z = solution.value
-    values = moved(model, at, z[:width] * scale)
+    values = moved(domains_of(model, at.names), at, z[:width] * scale)
     start = at.start + at.free_start * z[width:].reshape(R, depth) * start_scale
     ended = eqx.tree_at(lambda u: (u.values, u.start), at, (values, start))
     return ended, solution.aux, solution.stats["num_steps"], solution.result == optx.RESULTS.successful
@@ -162,6 +180,7 @@ def solve(
     *,
     scale: np.ndarray | None = None,
     start_scale: np.ndarray | None = None,
+    prior: tuple[np.ndarray, np.ndarray] | None = None,
     tolerance: float = 1e-3,
     threshold: float = np.inf,
     accuracy: Accuracy,
@@ -170,13 +189,14 @@ def solve(
 
     Steps are counted in units of `scale` (K,) and `start_scale` (R, S), so that a step of one changes the residuals by
     about one standard deviation of the noise; it ends when steps and residuals change by less than `tolerance`. An
-    infinite tolerance evaluates at `at` and moves nothing.
+    infinite tolerance evaluates at `at` and moves nothing. `prior` (mean, 1 / spread) of the steps, each (K,), if any.
     """
     R, S = batch.start.shape
     order = np.zeros(R, np.int64)
     order[: len(runs)] = runs
     scale = np.ones(at.directions.shape[0]) if scale is None else scale
     start_scale = np.ones((R, S)) if start_scale is None else start_scale
+    prior = (np.zeros_like(scale), np.zeros_like(scale)) if prior is None else prior
     ended, linearised, steps, converged = _solve(
         model,
         at,
@@ -185,6 +205,7 @@ def solve(
         jnp.asarray(len(runs)),
         jnp.asarray(scale),
         jnp.asarray(start_scale),
+        (jnp.asarray(prior[0]), jnp.asarray(prior[1])),
         jnp.asarray(tolerance),
         jnp.asarray(threshold),
         accuracy,

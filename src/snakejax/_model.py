@@ -113,8 +113,7 @@ class Model(eqx.Module):
         steered = Steered.of(tuple(joints))
         twist = self.skid.twist(body, board, steered)
         wheels = tuple(
-            Wheel(*parts)
-            for parts in zip(board.wheelsets, *steered, twist.lateral, twist.rolling, strict=True)
+            Wheel(*parts) for parts in zip(board.wheelsets, *steered, twist.lateral, twist.rolling, strict=True)
         )
         place = (twist.x, twist.y, twist.theta, twist.heading, twist.u, twist.w, twist.r)
         return Motion(t, *place, front, rotor, wheels, board), steered, twist

@@ -32,8 +32,8 @@ class Accuracy(eqx.Module):
 class Trajectory(eqx.Module):
     """A simulated run: `times` [s] (n,), and at each of them the reported `pose` (n, 3): x, y [m], heading [rad].
 
-    `state` is the model's state with a leading axis n, and `command_times` (n,) the times at which it held, which differ
-    from `times` by the clock's delay. `finished` is False where the solver gave up; the pose is then infinite.
+    `state` is the model's state with a leading axis n, and `command_times` (n,) the times at which it held, which
+    differ from `times` by the clock's delay. `finished` is False where the solver gave up; the pose is then infinite.
     """
 
     times: Float[Array, " n"]

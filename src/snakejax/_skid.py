@@ -279,10 +279,7 @@ class Printed(AbstractSkid):
         return (x, y, heading, zero, zero, zero, zero, zero)
 
     def under_way(self, start: State) -> State:
-        x, y, heading, u, beta, s = start
-        theta = heading - beta
-        half = s / 2
-        return (x, y, theta, beta, u * jnp.cos(theta), u * jnp.sin(theta), half, half)
+        raise ValueError("The printed equations are for a board that starts at rest; give `start` three numbers.")
 
     def pose(self, state: State) -> tuple[Scalar, Scalar, Scalar]:
         return state[0], state[1], state[2] + state[3]
@@ -298,25 +295,25 @@ class Printed(AbstractSkid):
 
     def rates(self, state: State, board: Board, steered: Steered, twist: Twist, loads: Loads) -> State:
         x_rate, y_rate, theta_rate, beta_rate = state[4:]
-        L, m, I = board.half_length, board.mass, board.total_inertia  # noqa: E741
-        rows, turning = [], []
-        for wheelset, joint in zip(board.wheelsets, steered.joints, strict=True):
+        m, I = board.mass, board.total_inertia  # noqa: E741
+        rows, turning, drags = [], [], []
+        for wheelset, joint, T in zip(board.wheelsets, steered.joints, loads.resistance, strict=True):
             total, rate = twist.theta + joint.angle, theta_rate + joint.rate
-            reach = wheelset.place * L
-            rows.append(
-                [-jnp.sin(total), jnp.cos(total), reach * jnp.cos(joint.angle), -reach * jnp.cos(joint.angle)]
-            )
+            reach = board.arm(wheelset)
+            rows.append([-jnp.sin(total), jnp.cos(total), reach * jnp.cos(joint.angle), -reach * jnp.cos(joint.angle)])
             turning.append(
                 -rate * (jnp.cos(total) * x_rate + jnp.sin(total) * y_rate)
                 - reach * jnp.sin(joint.angle) * joint.rate * (theta_rate - beta_rate)
             )
+            turn = reach * jnp.sin(joint.angle)
+            drags.append([T * jnp.cos(total), T * jnp.sin(total), T * turn, -T * turn])
         A = jnp.array(rows)
         zero = jnp.zeros_like(m)
         M = jnp.array([[m, zero, zero, zero], [zero, m, zero, zero], [zero, zero, I, I], [zero, zero, I, I]])
         X, Y, N = loads.wrench
         cosine, sine = jnp.cos(twist.theta), jnp.sin(twist.theta)
         yaw = N - board.rotor_inertia * loads.rotor
-        applied = jnp.array([X * cosine - Y * sine, X * sine + Y * cosine, yaw, yaw])
+        applied = jnp.array([X * cosine - Y * sine, X * sine + Y * cosine, yaw, yaw]) - jnp.sum(jnp.array(drags), axis=0)
         saddle = jnp.block([[M, -A.T], [A, jnp.zeros((2, 2))]])
         right = jnp.concatenate([applied - A.T @ jnp.array(loads.traction), -jnp.array(turning)])
         accelerations = jnp.linalg.solve(saddle, right)

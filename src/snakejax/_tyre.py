@@ -31,9 +31,9 @@ class Pacejka(AbstractTyre):
     """
 
     B: Scalar = param("1/rad", positive=True)
-    C: Scalar = param("-", high=2.0, positive=True)
+    C: Scalar = param("-", high=2.0, positive=True, typical=(1.4, 0.3))
     D: Scalar = param("N", low=0.0, multiplicative=True)
-    E: Scalar = param("-", high=1.0)
+    E: Scalar = param("-", high=1.0, typical=(0.0, 0.7))
     dSh: Scalar = param("rad", default=0.0)
     dSv: Scalar = param("N", default=0.0)
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
+import jax.core
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -20,7 +20,8 @@ T = TypeVar("T")
 class Domain(NamedTuple):
     """What a parameter may be: `low <= value <= high` in `unit`; `positive` means strictly above zero.
 
-    A `multiplicative` parameter is moved by its logarithm in a fit.
+    A `multiplicative` parameter is moved by its logarithm in a fit. `typical` (mean, spread), where given, is a weak
+    prior for the first steps of a fit; the result does not know it.
     """
 
     unit: str
@@ -28,6 +29,11 @@ class Domain(NamedTuple):
     high: float
     positive: bool
     multiplicative: bool
+    typical: tuple[float, float] | None = None
+
+    def step_to(self, value: float) -> float:
+        """`value` in the coordinate that a fit moves."""
+        return math.log(value) if self.multiplicative else value
 
     def complaint(self, value: float) -> str | None:
         """Why `value` lies outside this domain, or None where it lies inside."""
@@ -60,14 +66,16 @@ def param(
     high: float = math.inf,
     positive: bool = False,
     multiplicative: bool = False,
+    typical: tuple[float, float] | None = None,
     default: float | None = dataclasses.MISSING,  # type: ignore[assignment]
 ) -> Any:
     """A scalar field of an `equinox.Module` with a unit and a physical domain.
 
     **Arguments:** `unit`: SI, "-" for a pure number. `low`, `high`: closed bounds. `positive`: strictly above
-    zero, and so multiplicative. `multiplicative`: a fit moves its logarithm. `default`: for an effect, the neutral value.
+    zero, and so multiplicative. `multiplicative`: a fit moves its logarithm. `typical`: see `Domain`. `default`: for an effect, the
+    neutral value.
     """
-    domain = Domain(unit, low, high, positive, positive or multiplicative)
+    domain = Domain(unit, low, high, positive, positive or multiplicative, typical)
     kwargs = {} if default is dataclasses.MISSING else {"default": default}
     return eqx.field(converter=_as_scalar, metadata={"domain": domain}, **kwargs)
 
@@ -139,11 +147,6 @@ def with_parameters(tree: T, values: Mapping[str, Any]) -> T:
     if not getters:
         return tree
     return eqx.tree_at(lambda t: [get(t) for get in getters], tree, [_as_scalar(v) for v in values.values()])
-
-
-def parameter_vector(tree: Any) -> Float[Array, " p"]:
-    """All parameter values of `tree` in the order of `parameters`."""
-    return jnp.stack([jnp.asarray(p.value, jnp.float64) for p in parameters(tree).values()])
 
 
 def require_x64() -> None:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from .._board import Wheelset
 from .._effect import Command, Linkage
-from .._gait import AbstractSignal, Delayed, Gait, Joint, Scaled
+from .._gait import Delayed, Gait, Joint, Scaled
 from .._units import Scalar, param
 
 

@@ -37,7 +37,8 @@ class GripSplit(Grip):
         del motion
         return force * (1 + self.s) if wheel.wheelset.place > 0 else force * (1 - self.s)
 
-    refusal = staticmethod(_needs_traction)
+    def refusal(self, model: "Model") -> str | None:
+        return _needs_traction(model)
 
 
 class StribeckGrip(Grip):
@@ -51,7 +52,8 @@ class StribeckGrip(Grip):
         del motion
         return force * (1 + self.s * jnp.exp(-((wheel.lateral / self.speed) ** 2)))
 
-    refusal = staticmethod(_needs_traction)
+    def refusal(self, model: "Model") -> str | None:
+        return _needs_traction(model)
 
 
 class GripGradient(Floor):
@@ -63,7 +65,8 @@ class GripGradient(Floor):
     def tyre(self, tyre: AbstractTyre, motion: Motion) -> AbstractTyre:
         return tyre.scaled(1 + self.g * motion.x)
 
-    refusal = staticmethod(_needs_traction)
+    def refusal(self, model: "Model") -> str | None:
+        return _needs_traction(model)
 
 
 class TyreOffset(Floor):
@@ -81,7 +84,8 @@ class TyreOffset(Floor):
             raise TypeError(f"TyreOffset needs a Pacejka tyre, but the tyre is {type(tyre).__name__}.")
         return eqx.tree_at(lambda p: (p.dSh, p.dSv), tyre, (tyre.dSh + self.dSh, tyre.dSv + self.dSv))
 
-    refusal = staticmethod(_needs_slip_angle)
+    def refusal(self, model: "Model") -> str | None:
+        return _needs_slip_angle(model)
 
 
 class TyreRelaxation(Memory):
@@ -99,4 +103,5 @@ class TyreRelaxation(Memory):
     def slip(self, memory: Scalar, slip: Scalar) -> Scalar:
         return jnp.where(self.sigma > 0, memory, slip)
 
-    refusal = staticmethod(_needs_slip_angle)
+    def refusal(self, model: "Model") -> str | None:
+        return _needs_slip_angle(model)

@@ -1,0 +1,246 @@
+"""A study: one model and its recorded runs, held ready so that any choice of free parameters and runs can be fitted."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from ._batch import Batch, batch
+from ._least_squares import Linearised, Unknowns, domains_of, evaluate, solve, unknowns
+from ._model import Model
+from ._recording import Noise, Run
+from ._simulate import Accuracy
+from ._units import parameters, with_parameters
+
+FIT_ACCURACY = Accuracy(rtol=1e-6, atol=1e-8, derivative="forward")
+"""Accuracy of a fit: its errors stay below a hundredth of a millimetre, far below the noise of motion capture."""
+
+_CAREFUL, _BOLD = 30.0, 300.0
+"""Levenberg-Marquardt's first unit step changes the residuals by this many standard deviations of the noise."""
+
+
+class Optimum(NamedTuple):
+    """Where a fit ended, and all that its statistics need.
+
+    `values` by parameter name; `free`, those that were estimated; `held`, those of them that ended on a bound of their
+    domain; `start` (R, S); `linearised` at the optimum; `covariance` of the steps of the parameters in `free` that are
+    not held, in that order, for unit noise (see `Unknowns` for what a step is); `misfit`, the mean squared residual.
+    """
+
+    values: dict[str, float]
+    free: tuple[str, ...]
+    held: tuple[str, ...]
+    start: np.ndarray
+    linearised: Linearised
+    covariance: np.ndarray
+    misfit: float
+    samples: int
+    steps: int
+    converged: bool
+
+    @property
+    def loose(self) -> tuple[str, ...]:
+        """The free parameters that did not end on a bound."""
+        return tuple(name for name in self.free if name not in self.held)
+
+
+class Study(eqx.Module):
+    """`model` and `runs`, compiled once for all parameters in `names`, `width` of which may be free at a time."""
+
+    model: Model
+    runs: tuple[Run, ...]
+    noise: Noise
+    names: tuple[str, ...] = eqx.field(static=True)
+    width: int = eqx.field(static=True)
+    batch: Batch
+    accuracy: Accuracy
+
+    @staticmethod
+    def of(
+        model: Model,
+        runs: Sequence[Run],
+        noise: Noise,
+        names: Sequence[str],
+        width: int,
+        accuracy: Accuracy = FIT_ACCURACY,
+    ) -> "Study":
+        """Put `runs` side by side under `model`."""
+        return Study(model, tuple(runs), noise, tuple(names), width, batch(runs, noise), accuracy)
+
+    def numbered(self, role: str) -> list[int]:
+        """The numbers of the runs of `role`."""
+        return [k for k, run in enumerate(self.runs) if run.role == role]
+
+    def values(self) -> dict[str, float]:
+        """The values of the movable parameters as the model has them."""
+        known = parameters(self.model)
+        return {name: float(known[name].value) for name in self.names}
+
+    def fitted(self, optimum: Optimum) -> Model:
+        """The model at `optimum`."""
+        return with_parameters(self.model, optimum.values)
+
+    def samples(self, runs: Sequence[int]) -> int:
+        """How many numbers the runs hold: present samples of x, y and heading."""
+        return int((np.asarray(self.batch.weight)[list(runs)] > 0).sum())
+
+    def at(self, values: Mapping[str, float], free: Sequence[str], start: np.ndarray | None = None) -> Unknowns:
+        """The unknowns at `values`."""
+        if len(free) > self.width:
+            raise ValueError(f"At most {self.width} parameters can be free here, but {len(free)} are: {', '.join(free)}.")
+        base = unknowns(with_parameters(self.model, values), self.names, free, self.batch, self.width)
+        return base if start is None else eqx.tree_at(lambda u: u.start, base, jnp.asarray(start))
+
+    def evaluate(self, at: Unknowns, runs: Sequence[int], until: float = np.inf) -> Linearised:
+        """Residuals and Jacobian at `at`; the residuals after `until` [s] are zero."""
+        return evaluate(self.model, at, self._within(until), list(runs), self.accuracy)
+
+    def fit(
+        self,
+        values: Mapping[str, float],
+        free: Sequence[str],
+        runs: Sequence[int],
+        start: np.ndarray | None = None,
+        *,
+        until: float = np.inf,
+        threshold: float = np.inf,
+        tolerance: float = 1e-2,
+        weak_prior: bool = False,
+    ) -> Optimum:
+        """Least squares over `runs` from `values`, each parameter kept in its domain.
+
+        A parameter that wants to leave its domain is held on the bound while the others move, and let go where the
+        misfit would fall inside. `until` [s] leaves out what comes later; `threshold` is that of Huber's loss;
+        `weak_prior` pulls towards what is typical, for a first approach.
+        """
+        runs, free = list(runs), list(free)
+        span = self._within(until)
+        at = self.at(values, free, start)
+        held: list[str] = []
+        steps, converged = 0, False
+        found = evaluate(self.model, at, span, runs, self.accuracy)
+        for _ in range(4):
+            at = eqx.tree_at(lambda u: u.directions, at, self.at(values, _only(free, held)).directions)
+            scale, start_scale = self._scales(at, found, runs, _CAREFUL if weak_prior else _BOLD)
+            solved = solve(
+                self.model,
+                at,
+                span,
+                runs,
+                scale=scale,
+                start_scale=start_scale,
+                prior=self._prior(at, free) if weak_prior else None,
+                tolerance=tolerance,
+                threshold=threshold,
+                accuracy=self.accuracy,
+            )
+            steps, converged = steps + solved.steps, solved.converged
+            at = eqx.tree_at(lambda u: u.directions, solved.unknowns, self.at(values, free).directions)
+            found = solved.linearised
+            if held:
+                found = evaluate(self.model, at, span, runs, self.accuracy)
+            snapped = self._pressing(at, found, free, runs)
+            if set(snapped) == set(held):
+                break
+            at = eqx.tree_at(lambda u: u.values, at, jnp.asarray([snapped.get(n, v) for n, v in self._named(at)]))
+            held = list(snapped)
+        return self._optimum(at, found, free, held, runs, span, steps, converged)
+
+    def _optimum(self, at, found, free, held, runs, span, steps, converged) -> Optimum:
+        loose = [free.index(name) for name in free if name not in held]
+        whitened = projected(found.jacobian, self.width, np.asarray(at.free_start), runs)[:, loose]
+        samples = int((np.asarray(span.weight)[runs] > 0).sum())
+        values = {name: float(value) for name, value in zip(self.names, np.asarray(at.values), strict=True)}
+        residual = np.asarray(found.residual)[runs]
+        return Optimum(
+            values,
+            tuple(free),
+            tuple(held),
+            np.asarray(at.start),
+            found,
+            inverse(whitened.T @ whitened),
+            float((residual**2).sum() / max(samples, 1)),
+            samples,
+            steps,
+            converged,
+        )
+
+    def _within(self, until: float) -> Batch:
+        times = np.asarray(self.batch.times)
+        if until >= times.max():
+            return self.batch
+        late = times > until
+        rank = np.cumsum(late, axis=1)
+        cut = jnp.asarray(np.where(late, until + 1e-6 * rank, times))
+        weight = jnp.asarray(np.where(late[..., None], 0.0, np.asarray(self.batch.weight)))
+        return eqx.tree_at(lambda b: (b.times, b.weight), self.batch, (cut, weight))
+
+    def _named(self, at: Unknowns) -> list[tuple[str, float]]:
+        return [(name, float(value)) for name, value in zip(self.names, np.asarray(at.values), strict=True)]
+
+    def _prior(self, at: Unknowns, free: list[str]) -> tuple[np.ndarray, np.ndarray]:
+        """(mean, 1 / spread) of the steps from `at` to what is typical."""
+        pull, strength = np.zeros(self.width), np.zeros(self.width)
+        values = dict(self._named(at))
+        for row, domain in enumerate(domains_of(self.model, free)):
+            if domain.typical is not None:
+                mean, spread = domain.typical
+                pull[row] = domain.step_to(mean) - domain.step_to(values[free[row]])
+                strength[row] = (mean if domain.multiplicative else 1.0) / spread
+        return pull, strength
+
+    def _pressing(self, at: Unknowns, found: Linearised, free: list[str], runs: list[int]) -> dict[str, float]:
+        """The free parameters that stand at a bound of their domain and would go further, with that bound."""
+        pressing = {}
+        values = dict(self._named(at))
+        for row, (name, domain) in enumerate(zip(free, domains_of(self.model, free), strict=True)):
+            column = found.jacobian[runs][..., row]
+            size = np.sqrt((column**2).sum())
+            reach = 1.0 / size if size > 0 else 0.0
+            reach = reach * abs(values[name]) if domain.multiplicative else reach
+            downhill = float((column * found.residual[runs]).sum()) < 0
+            if values[name] - domain.low <= reach and not downhill:
+                pressing[name] = domain.low
+            elif domain.high - values[name] <= reach and downhill:
+                pressing[name] = domain.high
+        return pressing
+
+    def _scales(self, at: Unknowns, found: Linearised, runs: list[int], unit: float) -> tuple[np.ndarray, np.ndarray]:
+        used = np.abs(np.asarray(at.directions)).sum(axis=1) > 0
+        square = np.asarray(found.jacobian) ** 2
+        norms = np.sqrt(square[runs][..., : self.width].sum(axis=(0, 1, 2)))
+        scale = np.where(used & (norms > 0), unit / np.where(norms > 0, norms, 1.0), 0.0)
+        start_norms = np.sqrt(square[..., self.width :].sum(axis=(1, 2)))
+        known = (start_norms > 0) & np.isin(np.arange(len(self.runs)), runs)[:, None]
+        return scale, np.where(known, unit / np.where(known, start_norms, 1.0), 0.0)
+
+
+def _only(free: Sequence[str], held: Sequence[str]) -> list[str]:
+    """`free` with an empty name in the place of each that is `held`, so that rows keep their places."""
+    return ["" if name in held else name for name in free]
+
+
+def projected(jacobian: np.ndarray, width: int, free_start: np.ndarray, runs: Sequence[int]) -> np.ndarray:
+    """The parameter columns (N, width) of `runs`, with what the starts of each run can explain projected out."""
+    blocks = []
+    for k in runs:
+        J = jacobian[k].reshape(-1, jacobian.shape[-1])
+        starts = J[:, width:][:, free_start[k] > 0]
+        q, _ = np.linalg.qr(starts)
+        blocks.append(J[:, :width] - q @ (q.T @ J[:, :width]))
+    return np.concatenate(blocks)
+
+
+def inverse(normal: np.ndarray) -> np.ndarray:
+    """Inverse of a symmetric positive matrix, by its scaled eigenvectors; infinite variance where it is singular."""
+    if not normal.size:
+        return normal
+    size = np.sqrt(np.diag(normal))
+    safe = np.where(size > 0, size, 1.0)
+    values, vectors = np.linalg.eigh(normal / np.outer(safe, safe))
+    floor = np.finfo(float).eps * len(size) * max(values[-1], 1.0)
+    inverted = vectors @ np.diag(1 / np.maximum(values, floor)) @ vectors.T / np.outer(safe, safe)
+    inverted[size == 0, size == 0] = np.inf
+    return inverted
