@@ -15,14 +15,14 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / "snakejax"
 # fmt: off
 ORDER = [
     "_errors", "_units", "_math", "_tyre", "_board", "_gait", "_recording", "_batch",
-    "_effect", "_skid", "_model", "_simulate",
-    "effects", "readers", "_toml", "_case", "_check", "_template",
-    "_sweep", "_fit", "_compare", "_diagnose", "_missing", "_explain", "_tune",
-    "report", "plot", "_cli", "__main__", "__init__",
+    "_effect", "_skid", "_model", "_simulate", "_least_squares", "_study",
+    "effects", "readers", "_toml", "_case", "_presets", "_check", "_template",
+    "_sweep", "_fit", "_compare", "_windows", "_diagnose", "_missing", "_explain", "_tune",
+    "_json", "_text", "report", "plot", "_cli", "__main__", "__init__",
 ]
 # fmt: on
 CORE = ORDER[: ORDER.index("effects")]
-ONLY_IN = {"diffrax": {"_simulate", "_sweep"}, "optimistix": {"_fit"}}
+ONLY_IN = {"diffrax": {"_simulate", "_sweep"}, "optimistix": {"_least_squares", "_sweep", "_tune"}}
 
 FILES = sorted(SOURCE.rglob("*.py"))
 each_file = pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(SOURCE)))
