@@ -1,0 +1,235 @@
+"""Multiple shooting: recorded runs cut into short windows, each with a start of its own.
+
+Over a whole run the error of a wrong model grows until it says nothing about its cause. Over a second or two it stays
+small, and what a candidate effect would change is seen beside it.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ._least_squares import Linearised, domains_of, linearise
+from ._model import Model
+from ._recording import Noise, Run
+from ._skid import Coupled
+from ._study import Study, inverse
+
+_linearise = eqx.filter_jit(linearise)
+
+SMOOTHING = 0.12
+"""Half width [s] of the cubic through the samples that gives the velocities at the start of a window."""
+
+
+def cut(run: Run, length: float) -> list[Run]:
+    """`run` in windows of `length` [s]; the last one may be shorter, and joins its neighbour where it is under half."""
+    times = np.asarray(run.times)
+    edges = np.arange(times[0], times[-1] + 1e-9, length)
+    if len(edges) > 1 and times[-1] - edges[-1] < length / 2:
+        edges = edges[:-1]
+    pieces = np.searchsorted(times, edges - 1e-9)
+    ends = [*pieces[1:], len(times)]
+    size = int(np.median(np.diff([*pieces, len(times)])))
+    windows = []
+    for k, (a, b) in enumerate(zip(pieces, ends, strict=True)):
+        part = slice(a, min(b, a + size))
+        if np.isfinite(np.asarray(run.pose)[part]).all(axis=1).sum() >= 12:
+            name = f"{run.name}[{k}]"
+            windows.append(Run(name, run.role, run.times[part], run.pose[part], run.gait, run.payload, True))
+    return windows
+
+
+def velocities(run: Run) -> tuple[np.ndarray, np.ndarray]:
+    """Smoothed pose (n, 3) and its rate (n, 3) at every sample, from local cubics through what was seen."""
+    t, seen = np.asarray(run.times), np.asarray(run.pose)
+    present = np.isfinite(seen).all(axis=1)
+    known, poses = t[present], seen[present]
+    pose, rate = np.empty_like(seen), np.empty_like(seen)
+    for k, now in enumerate(t):
+        near = np.abs(known - now) <= SMOOTHING
+        if near.sum() < 8:
+            near = np.argsort(np.abs(known - now))[:8]
+        c = np.polyfit(known[near] - now, poses[near], min(3, len(known[near]) - 1))
+        pose[k], rate[k] = c[-1], c[-2]
+    return pose, rate
+
+
+def states(model: Model, run: Run) -> np.ndarray:
+    """A guess of the state (n, 6) at every sample, as `start_moving` takes it, from the smoothed recording alone.
+
+    Under the coupled structure theta follows from thetadot = (s + D u)/2 with s the measured yaw rate and
+    u = xdot cos(theta) + ydot sin(theta), from theta = heading at the start.
+    """
+    pose, rate = velocities(run)
+    t, heading = np.asarray(run.times), pose[:, 2]
+    if not isinstance(model.skid, Coupled):
+        u = rate[:, 0] * np.cos(heading) + rate[:, 1] * np.sin(heading)
+        w = rate[:, 1] * np.cos(heading) - rate[:, 0] * np.sin(heading)
+        return np.stack([pose[:, 0], pose[:, 1], heading, u, w, rate[:, 2]], axis=1)
+    gait = model.commanded(run.gait)
+    phi = np.asarray(jax.vmap(lambda s: gait.phi.at(s).angle)(jnp.asarray(t)))
+    back = -phi if gait.phi_back is None else np.asarray(jax.vmap(lambda s: gait.phi_back.at(s).angle)(jnp.asarray(t)))
+    D = (np.tan(phi) - np.tan(back)) / (2 * float(model.board.half_length))
+    theta = np.empty_like(heading)
+    theta[0] = heading[0]
+    for k in range(len(t)):
+        u = rate[k, 0] * np.cos(theta[k]) + rate[k, 1] * np.sin(theta[k])
+        if k + 1 < len(t):
+            theta[k + 1] = theta[k] + (t[k + 1] - t[k]) * (rate[k, 2] + D[k] * u) / 2
+    u = rate[:, 0] * np.cos(theta) + rate[:, 1] * np.sin(theta)
+    return np.stack([pose[:, 0], pose[:, 1], heading, u, heading - theta, rate[:, 2]], axis=1)
+
+
+class Windows(eqx.Module):
+    """The train runs of a study as windows, with all movable parameters as directions of one compiled Jacobian."""
+
+    study: Study
+    source: tuple[int, ...] = eqx.field(static=True)
+    """The number of the run each window comes from."""
+
+    @staticmethod
+    def of(model: Model, runs: Sequence[Run], noise: Noise, names: Sequence[str], length: float) -> "Windows":
+        """Windows of `length` [s] over `runs`; a run from rest keeps its first window at rest."""
+        pieces, source, starts, free = [], [], [], []
+        for number, run in enumerate(runs):
+            guess = states(model, run)
+            for k, window in enumerate(cut(run, length)):
+                pieces.append(window)
+                source.append(number)
+                at = int(np.searchsorted(np.asarray(run.times), float(window.times[0]) - 1e-9))
+                resting = k == 0 and not run.moving
+                starts.append(np.where([1, 1, 1, 0, 0, 0], guess[at], 0.0) if resting else guess[at])
+                free.append([1, 1, 1, 0, 0, 0] if resting else [1] * 6)
+        study = Study.of(model, pieces, noise, names, len(names))
+        study = eqx.tree_at(
+            lambda s: (s.batch.start, s.batch.free_start),
+            study,
+            (jnp.asarray(np.array(starts)), jnp.asarray(np.array(free, float))),
+        )
+        return Windows(study, tuple(source))
+
+    def at(self, values: Mapping[str, float], start: np.ndarray) -> Linearised:
+        """Residuals (W, n, 3) and the Jacobian by every name and by the start state."""
+        study, width = self.study, self.study.width
+        point = study.at(values, study.names, start)
+        count = len(study.runs)
+        found = _linearise(
+            study.model,
+            point,
+            study.batch,
+            jnp.arange(count),
+            jnp.asarray(count),
+            jnp.zeros(width),
+            jnp.zeros_like(study.batch.start),
+            study.accuracy,
+        )
+        return Linearised(*(np.asarray(part) for part in found))
+
+    def settle(
+        self, values: Mapping[str, float], free: Sequence[str], start: np.ndarray | None = None, rounds: int = 12
+    ) -> "Settled":
+        """Gauss-Newton on the windows: `free` parameters of all, start state of each, eliminated window by window."""
+        study = self.study
+        names, columns = list(study.names), [study.names.index(name) for name in free]
+        domains = domains_of(study.model, free)
+        now = dict(values)
+        place = np.asarray(study.batch.start) if start is None else start
+        found = self.at(now, place)
+        cost, damping = _cost(found), 1e-4
+        for _ in range(rounds):
+            step, moves = _newton(found, columns, study.width, np.asarray(study.batch.free_start), damping)
+            trial = dict(now)
+            for name, domain, move in zip(free, domains, step, strict=True):
+                move = float(np.clip(move, -1.0, 1.0)) if domain.multiplicative else float(move)
+                shifted = now[name] * np.exp(move) if domain.multiplicative else now[name] + move
+                trial[name] = float(np.clip(shifted, domain.low, domain.high))
+            there = place + moves
+            tried = self.at(trial, there)
+            better = _cost(tried)
+            if not better < cost * (1 + 1e-9):
+                damping *= 10
+                if damping > 1e2:
+                    break
+                continue
+            gain, cost = cost - better, better
+            now, place, found, damping = trial, there, tried, max(damping / 10, 1e-9)
+            if gain < 0.1:
+                break
+        return Settled(self, now, place, reduced(found, study.width, np.asarray(study.batch.free_start)), names)
+
+
+def _cost(found: Linearised) -> float:
+    cost = float((found.residual**2).sum())
+    return cost if np.isfinite(cost) else np.inf
+
+
+class Reduced(NamedTuple):
+    """Residual (N,) and parameter columns (N, P) of all windows, with the start states projected out.
+
+    `window` (N,) numbers the window of each row; `lost` counts the start components that were estimated.
+    """
+
+    residual: np.ndarray
+    columns: np.ndarray
+    window: np.ndarray
+    lost: int
+    samples: int
+
+
+def reduced(found: Linearised, width: int, free_start: np.ndarray) -> Reduced:
+    """Project the start states out of each window."""
+    rows, columns, window = [], [], []
+    for k, (r, J) in enumerate(zip(found.residual, found.jacobian, strict=True)):
+        r, J = r.reshape(-1), J.reshape(-1, J.shape[-1])
+        seen = np.abs(J[:, width:]).sum(axis=1) > 0
+        r, J = r[seen], J[seen]
+        q, _ = np.linalg.qr(J[:, width:][:, free_start[k] > 0])
+        rows.append(r - q @ (q.T @ r))
+        columns.append(J[:, :width] - q @ (q.T @ J[:, :width]))
+        window.append(np.full(r.size, k))
+    residual = np.concatenate(rows)
+    return Reduced(residual, np.concatenate(columns), np.concatenate(window), int(free_start.sum()), residual.size)
+
+
+def _newton(found: Linearised, columns: list[int], width: int, free_start: np.ndarray, damping: float):
+    """Steps (K,) of the parameters in `columns` and (W, S) of the start states."""
+    parts = []
+    count = len(columns)
+    normal, right = np.zeros((count, count)), np.zeros(count)
+    for k, (r, J) in enumerate(zip(found.residual, found.jacobian, strict=True)):
+        r, J = r.reshape(-1), J.reshape(-1, J.shape[-1])
+        G, open_ = J[:, columns], free_start[k] > 0
+        S = J[:, width:][:, open_]
+        brake = np.diag(np.sqrt(damping * (S**2).sum(axis=0)))
+        # The damping of the start states as rows of their own.
+        S, G = np.concatenate([S, brake]), np.concatenate([G, np.zeros((len(brake), count))])
+        r = np.concatenate([r, np.zeros(len(brake))])
+        q, t = np.linalg.qr(S)
+        G_ = G - q @ (q.T @ G)
+        normal += G_.T @ G_
+        right -= G_.T @ (r - q @ (q.T @ r))
+        parts.append((q, t, r, G, open_))
+    size = np.diag(normal)
+    step = inverse(normal + damping * np.diag(size)) @ right if count else np.zeros(0)
+    moves = np.zeros_like(free_start)
+    for k, (q, t, r, G, open_) in enumerate(parts):
+        moves[k, open_] = np.linalg.lstsq(t, -(q.T @ (r + G @ step)), rcond=1e-12)[0]
+    return step, moves
+
+
+class Settled(NamedTuple):
+    """Windows at the optimum of some parameters: their values, each window's start, and what is left."""
+
+    windows: Windows
+    values: dict[str, float]
+    start: np.ndarray
+    rest: Reduced
+    names: list[str]
+
+    def misfit(self, free: int) -> float:
+        """Mean squared residual, corrected for the start states and `free` parameters that were estimated."""
+        dof = max(self.rest.samples - self.rest.lost - free, 1)
+        return float((self.rest.residual**2).sum() / dof)
