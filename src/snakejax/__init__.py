@@ -1,1 +1,87 @@
-"""Differentiable simulation and parameter fitting for the skidding snakeboard."""
+"""Differentiable simulation and parameter fitting for the skidding snakeboard.
+
+Names are imported when first used, so that `snakejax --help` need not wait for JAX.
+"""
+
+import importlib
+import importlib.metadata
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ._board import TABLE_II as TABLE_II
+    from ._board import Board as Board
+    from ._board import Wheelset as Wheelset
+    from ._case import load_case as load_case
+    from ._check import check as check
+    from ._check import estimate_noise as estimate_noise
+    from ._effect import Clock as Clock
+    from ._effect import Command as Command
+    from ._effect import Effect as Effect
+    from ._effect import Floor as Floor
+    from ._effect import Force as Force
+    from ._effect import Grip as Grip
+    from ._effect import Layout as Layout
+    from ._effect import Linkage as Linkage
+    from ._effect import Memory as Memory
+    from ._effect import Motion as Motion
+    from ._effect import Rolling as Rolling
+    from ._effect import Sensor as Sensor
+    from ._effect import Wheel as Wheel
+    from ._errors import InputError as InputError
+    from ._fit import Fit as Fit
+    from ._fit import FitError as FitError
+    from ._fit import fit as fit
+    from ._fit import profile as profile
+    from ._fit import starting_model as starting_model
+    from ._gait import Gait as Gait
+    from ._gait import Logged as Logged
+    from ._gait import Sines as Sines
+    from ._gait import Tracked as Tracked
+    from ._model import Model as Model
+    from ._presets import Preset as Preset
+    from ._presets import preset as preset
+    from ._recording import Case as Case
+    from ._recording import Noise as Noise
+    from ._recording import Run as Run
+    from ._simulate import Accuracy as Accuracy
+    from ._simulate import Trajectory as Trajectory
+    from ._simulate import motions as motions
+    from ._simulate import simulate as simulate
+    from ._tyre import Bakker as Bakker
+    from ._tyre import Pacejka as Pacejka
+    from ._tyre import Rayleigh as Rayleigh
+    from ._units import Scalar as Scalar
+    from ._units import param as param
+
+_HOMES = {
+    "_board": "TABLE_II Board Wheelset",
+    "_case": "load_case",
+    "_check": "check estimate_noise",
+    "_effect": "Clock Command Effect Floor Force Grip Layout Linkage Memory Motion Rolling Sensor Wheel",
+    "_errors": "InputError",
+    "_fit": "Fit FitError fit profile starting_model",
+    "_gait": "Gait Logged Sines Tracked",
+    "_model": "Model",
+    "_presets": "Preset preset",
+    "_recording": "Case Noise Run",
+    "_simulate": "Accuracy Trajectory motions simulate",
+    "_tyre": "Bakker Pacejka Rayleigh",
+    "_units": "Scalar param",
+}
+_HOME = {name: home for home, names in _HOMES.items() for name in names.split()}
+
+__all__ = sorted(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return importlib.metadata.version("snakejax")
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    found = getattr(importlib.import_module(f".{_HOME[name]}", __name__), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOME, "__version__"})

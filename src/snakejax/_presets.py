@@ -36,7 +36,7 @@ PRESETS = tuple(GAITS)
 
 
 class Preset(eqx.Module):
-    """An example of the paper. The board is at rest at the origin at time 0; `times` [s] (n,) at 100 frames a second."""
+    """An example of the paper. At rest at the origin at time 0; `times` [s] (n,) at 100 frames a second."""
 
     name: str = eqx.field(static=True)
     model: Model
@@ -59,7 +59,7 @@ def preset(name: str, load: float | None = None, camber: float | None = None) ->
 
     `paper-gait1`, `paper-gait2`: the gaits of Table I, 35 s, J_r = 4 kg m^2, J_w = 1 kg m^2, L = 4 m; the mass
     m = 2 load / 9.81 and a Bakker tyre follow from the load. The camber acts through its stiffness; the camber offsets
-    dSh and dSv are left out, since with them no Rayleigh board comes near the paper's Fig. 3.
+    dSh and dSv are left out, since with them no Rayleigh board comes near the trajectories of the paper.
     `paper-forward` (7.7 s), `paper-rotate` (14 s): the board and tyre of Table II, the gaits of Table III.
 
     **Arguments:** `load` [N] on each wheelset and `camber` [rad], for the gaits of Table I alone.
@@ -72,11 +72,15 @@ def preset(name: str, load: float | None = None, camber: float | None = None) ->
     gait = Gait(Tracked(Sines.of(phi), **GAINS), Tracked(Sines.of(psi), **GAINS))
     times = jnp.arange(round(duration * FRAME_RATE) + 1) / FRAME_RATE
     if name in LOADS:
-        model = _loaded(*(given if given is not None else usual for given, usual in zip((load, camber), LOADS[name])))
+        model = _loaded(
+            *(given if given is not None else usual for given, usual in zip((load, camber), LOADS[name], strict=True))
+        )
     elif load is not None or camber is not None:
         option = "--load" if load is not None else "--camber"
         remedy = f"leave it out, or take one of {', '.join(LOADS)}"
-        raise InputError(f"`{name}` has the tyre of Table II, which knows no load or camber", f"option {option}", remedy)
+        raise InputError(
+            f"`{name}` has the tyre of Table II, which knows no load or camber", f"option {option}", remedy
+        )
     else:
         model = Model(Board(**TABLE_II), Pacejka(B=0.09, C=2.0, D=1.0, E=0.6), "coupled")
     return Preset(name, model, gait, times)
@@ -84,7 +88,9 @@ def preset(name: str, load: float | None = None, camber: float | None = None) ->
 
 def _loaded(load: float, camber: float) -> Model:
     if not (np.isfinite(load) and load > 0):
-        raise InputError(f"A load of {load:g} N is none", "option --load", "give the load on one wheelset in N, above 0")
+        raise InputError(
+            f"A load of {load:g} N is none", "option --load", "give the load on one wheelset in N, above 0"
+        )
     if not abs(camber) < _QUARTER:
         raise InputError(f"A camber of {camber:g} rad is none", "option --camber", "give it in rad, within +- pi/2")
     board = Board(mass=2 * load / GRAVITY, rotor_inertia=4.0, wheelset_inertia=1.0, half_length=4.0)

@@ -1,0 +1,110 @@
+"""`snakejax fit`: parameters from the train runs, judged on the held-out ones."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .._errors import InputError
+from ._options import add_cases, add_command, add_model, given, names, threshold
+from ._setup import Clock, Outcome, Say, each_case
+
+if TYPE_CHECKING:
+    from .._fit import Fit
+    from .._recording import Case, Noise
+
+
+def add(commands: Any) -> None:
+    """The command's options."""
+    command = add_command(
+        commands,
+        "fit",
+        run,
+        "fit parameters to the train runs of a case",
+        "Fit parameters to the train runs of a case and judge them on its held-out runs.",
+        "snakejax fit data/level-board --out out",
+    )
+    add_cases(command)
+    add_model(command)
+    command.add_argument(
+        "--free", metavar="B,C,D,E", help="parameters to estimate (default: all of the tyre and the effects)"
+    )
+    command.add_argument(
+        "--robust",
+        metavar="SD",
+        nargs="?",
+        const="",
+        help="count residuals above this many standard deviations linearly (default 3)",
+    )
+    command.add_argument(
+        "--profile", metavar="C,E", help="95%% intervals of these by profile, where a standard error misleads"
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Fit each CASE."""
+    threshold(options.robust)
+    return each_case(options, lambda case, say: work(options, case, say))
+
+
+def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
+    """Fit one case."""
+    from .._fit import profile
+    from .._json import fit_json, provenance_json
+    from .._text import fit_report
+
+    clock = Clock()
+    found, noise = fitted(options, case, say)
+    intervals = {}
+    for name in profiled(options, found):
+        say(f"profile of {name}")
+        intervals[name] = profile(found, name)
+    provenance = provenance_json(options.seed, given(options), case.sha256)
+    result = fit_json(case, noise, found, provenance, intervals, clock.seconds())
+
+    def write(folder: Path) -> None:
+        say("drawing")
+        draw(found, folder)
+
+    return Outcome(result, fit_report(case, noise, found, intervals), write)
+
+
+def fitted(options: argparse.Namespace, case: "Case", say: Say) -> "tuple[Fit, Noise]":
+    """The fit of `case` that the options ask for, and the noise it counts in."""
+    from .._check import estimate_noise
+    from .._fit import fit
+    from ._models import wanted_model
+
+    wanted = wanted_model(options, case)
+    noise = case.noise or estimate_noise(case.runs)
+    free = wanted.freed(names(getattr(options, "free", None)))
+    limit = threshold(getattr(options, "robust", None))
+    return fit(wanted.model, case.runs, noise, free, threshold=limit, progress=say), noise
+
+
+def profiled(options: argparse.Namespace, found: "Fit") -> list[str]:
+    """The parameters whose profile is wanted. **Raises:** `InputError` for one that was not estimated."""
+    from .._fit import chosen
+
+    patterns = names(options.profile) or []
+    loose = found.optimum.loose
+    try:
+        wanted = chosen(found.model, patterns)
+    except InputError as error:
+        raise InputError(error.what, "option --profile", error.remedy) from None
+    for name in wanted:
+        if name not in found.optimum.free:
+            listed = ", ".join(loose) or "none"
+            raise InputError(f"`{name}` is held, so it has no profile", "option --profile", f"name one of {listed}")
+    return [name for name in wanted if name in loose]
+
+
+def draw(found: "Fit", folder: Path) -> None:
+    """Write the figures of a fit into `folder`."""
+    from .. import plot
+
+    try:
+        plot.save(plot.paths(found), folder, "paths")
+        plot.save(plot.residuals(found), folder, "residuals")
+    except OSError as error:
+        what = f"Cannot write the figures ({error.strerror})"
+        raise InputError(what, str(folder), "name a folder you may write to") from None

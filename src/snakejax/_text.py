@@ -1,0 +1,172 @@
+"""Results as tables and sentences for a terminal of 80 columns. Everything here is pure: it returns what to print."""
+
+from collections.abc import Mapping, Sequence
+
+from rich import box
+from rich.console import Group, RenderableType
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from ._fit import Estimate, Fit, RunScore, Score
+from ._json import model_kind, short, skid_kind
+from ._model import Model
+from ._recording import Case, Noise
+from ._skid import Ideal
+from ._units import parameters
+
+Interval = tuple[float | None, float | None]
+
+
+def number(value: float | None, sd: float | None = None) -> str:
+    """`value` with as many digits as its standard error `sd` bears: the error's first two."""
+    if value is None:
+        return ""
+    if sd is None or not 0 < sd < float("inf"):
+        return f"{value:.4g}"
+    decimals = 1 - int(f"{sd:.1e}".split("e")[1])
+    return f"{value:.{decimals}f}" if 0 <= decimals <= 8 and abs(value) < 1e7 else f"{value:.4g}"
+
+
+def error(sd: float | None) -> str:
+    """A standard error, to two digits."""
+    return "" if sd is None else number(sd, sd)
+
+
+def interval_text(interval: Interval | None, sd: float | None = None) -> str:
+    """A 95% interval; an end that the data leave open is a sign of infinity."""
+    if interval is None:
+        return ""
+    low, high = interval
+    return f"{'-inf' if low is None else number(low, sd)} to {'inf' if high is None else number(high, sd)}"
+
+
+def note(estimate: Estimate) -> str:
+    """What to know before believing an estimate."""
+    if estimate.at_bound:
+        return "at its bound"
+    return "" if estimate.determined else "cannot be determined"
+
+
+def plain_table(*columns: str, right: Sequence[str] = ()) -> Table:
+    """A table without frame; the columns in `right` are aligned on the right."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1))
+    for column in columns:
+        table.add_column(Text(column), justify="right" if column in right else "left", overflow="fold")
+    return table
+
+
+def add_row(table: Table, *cells: str, style: str | None = None) -> None:
+    """Add a row of `cells` to `table` as they are: brackets in a name are no markup."""
+    table.add_row(*map(Text, cells), style=style)
+
+
+def misfit_text(misfit: float | None) -> str:
+    """A misfit to three digits."""
+    if misfit is None:
+        return ""
+    return f"{misfit:#.3g}".rstrip(".") if misfit < 1000 else f"{misfit:.3g}"
+
+
+def named(name: str) -> str:
+    """A parameter in a table: `B`, `ground_slope.sx`, `board.mass`."""
+    return short(name).removeprefix("effects.")
+
+
+def fit_table(found: Fit, intervals: Mapping[str, Interval] | None = None) -> Table:
+    """Every estimate with its standard error, unit, 95% interval and a note; then what was held."""
+    table = plain_table("parameter", "value", "+-", "unit", "95% interval", "note", right=("value", "+-"))
+    for name, estimate in found.estimates.items():
+        profiled = (intervals or {}).get(name)
+        told = note(estimate) + (", by profile" if profiled and note(estimate) else "by profile" if profiled else "")
+        add_row(
+            table,
+            named(name),
+            number(estimate.value, estimate.sd),
+            error(estimate.sd),
+            estimate.unit,
+            interval_text(profiled or estimate.interval(), estimate.sd),
+            told,
+            style="yellow" if not estimate.determined else None,
+        )
+    for name, value, unit in held(found.model, found.estimates):
+        add_row(table, named(name), number(value), "", unit, "", "held", style="dim")
+    return table
+
+
+def held(model: Model, estimates: Mapping[str, Estimate]) -> list[tuple[str, float, str]]:
+    """(name, value, unit) of the tyre's and the effects' parameters that were not estimated."""
+    shown = ("effects.",) if isinstance(model.skid, Ideal) else ("tyre.", "effects.")
+    return [
+        (name, float(value), domain.unit)
+        for name, (value, domain) in parameters(model).items()
+        if name.startswith(shown)
+        and name not in estimates
+        and not (name in ("tyre.dSh", "tyre.dSv") and float(value) == 0)
+    ]
+
+
+def runs_table(scores: Sequence[RunScore]) -> Table:
+    """How each run fares: misfits in units of the noise variance, errors as root mean squares."""
+    right = ("misfit", "x", "y", "heading", "rms\n[mm]", "rms\n[mrad]", "worst\nat [s]")
+    table = plain_table("run", *right, right=right)
+    for role, title in (("train", "train"), ("heldout", "held out")):
+        of_role = [s for s in scores if s.role == role]
+        if of_role and len({s.role for s in scores}) > 1:
+            add_row(table, title, style="bold")
+        for s in of_role:
+            add_row(
+                table,
+                s.run,
+                *map(misfit_text, (s.misfit, s.channels["x"], s.channels["y"], s.channels["heading"])),
+                f"{1e3 * s.position_m:.3g}",
+                f"{1e3 * s.heading_rad:.3g}",
+                f"{s.worst_time_s:.2f}",
+            )
+    return table
+
+
+def combinations_table(combinations: Mapping[str, Estimate]) -> Table:
+    """What the runs determine of several parameters together."""
+    table = plain_table("together", "value", "+-", "unit", right=("value", "+-"))
+    for name, estimate in combinations.items():
+        add_row(table, name, number(estimate.value, estimate.sd), error(estimate.sd), estimate.unit)
+    return table
+
+
+def score_line(role: str, score: Score) -> str:
+    """One role's score as a sentence."""
+    return (
+        f"{role}: misfit {misfit_text(score.misfit)} (1 = noise), rms error {1e3 * score.position_m:.3g} mm "
+        f"and {1e3 * score.heading_rad:.3g} mrad"
+    )
+
+
+def noise_line(noise: Noise) -> str:
+    """The noise as a sentence."""
+    position, heading = 1e3 * float(noise.position), 1e3 * float(noise.heading)
+    return f"noise of one sample {position:.3g} mm and {heading:.3g} mrad ({noise.source})"
+
+
+def indented(renderable: RenderableType) -> Padding:
+    """`renderable` two columns in."""
+    return Padding(renderable, (0, 0, 1, 2))
+
+
+def fit_report(case: Case, noise: Noise, found: Fit, intervals: Mapping[str, Interval] | None = None) -> RenderableType:
+    """All that `snakejax fit` says of a case."""
+    model = found.model
+    parts: list[RenderableType] = [
+        Text(f"{case.name}: {case.title}", style="bold"),
+        Text(f"model {model_kind(model)}, skid {skid_kind(model)}, {noise_line(noise)}"),
+        Text(),
+        indented(fit_table(found, intervals)),
+        indented(runs_table([*found.runs, *found.heldout])),
+    ]
+    if found.combinations:
+        parts.append(indented(combinations_table(found.combinations)))
+    parts.append(Text(score_line("train", found.train_score)))
+    if found.heldout_score is not None:
+        parts.append(Text(score_line("held out", found.heldout_score)))
+    parts += [Text(f"! {sentence}", style="yellow") for sentence in found.advice]
+    return Group(*parts)

@@ -1,0 +1,107 @@
+"""Figures of a fit, with matplotlib and no display. Each function returns the figure; `save` writes it."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ._fit import Fit
+from ._replay import fitted_poses
+
+MEASURED, MODELLED, GAP = "0.45", "#c2410c", "0.9"
+CHANNELS = ("x", "y", "heading")
+HEADING_MARKS = 12
+
+
+def paths(found: Fit, poses: Sequence[Float[np.ndarray, "n 3"]] | None = None) -> Figure:
+    """The measured and the modelled path of each run, x against y [m] on equal axes, with marks for the heading.
+
+    **Arguments:** `poses`: what the model says of each run, where it has been computed already.
+    """
+    poses = fitted_poses(found) if poses is None else poses
+    runs = found.study.runs
+    columns = min(len(runs), 4)
+    rows = -(-len(runs) // columns)
+    figure = Figure(figsize=(3.2 * columns, 3.2 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axis, run, pose in zip(axes, runs, poses, strict=False):
+        seen = np.asarray(run.pose)
+        axis.plot(seen[:, 0], seen[:, 1], color=MEASURED, lw=2.5, label="measured")
+        axis.plot(pose[:, 0], pose[:, 1], color=MODELLED, lw=1, label="model")
+        for marked, colour in ((seen, MEASURED), (pose, MODELLED)):
+            _heading_marks(axis, marked, colour)
+        axis.plot(*pose[0, :2], "o", color=MODELLED, ms=4, label="start")
+        axis.set(title=_title(run.name, run.role), xlabel="x [m]", ylabel="y [m]")
+        axis.set_aspect("equal", adjustable="datalim")
+    for axis in axes[len(runs) :]:
+        axis.set_axis_off()
+    axes[0].legend(fontsize="small")
+    return figure
+
+
+def _title(name: str, role: str) -> str:
+    return f"{name} (held out)" if role == "heldout" else name
+
+
+def _heading_marks(axis: Axes, pose: Float[np.ndarray, "n 3"], colour: str) -> None:
+    present = pose[np.isfinite(pose).all(axis=1)]
+    marked = present[:: max(len(present) // HEADING_MARKS, 1)]
+    axis.quiver(
+        *marked[:, :2].T, np.cos(marked[:, 2]), np.sin(marked[:, 2]), color=colour, angles="xy", width=0.005, scale=18
+    )
+
+
+def residuals(found: Fit) -> Figure:
+    """Measured minus modelled over time, each run a row and each channel a column, in standard deviations of the noise.
+
+    Lost frames are shaded; two dotted lines hold 95% of what is noise.
+    """
+    runs, channels = found.study.runs, _residuals(found)
+    figure = Figure(figsize=(10.0, 1.3 + 1.2 * len(runs)), layout="constrained")
+    axes = figure.subplots(len(runs), 3, sharex=True, sharey="row", squeeze=False)
+    for row, run, residual in zip(axes, runs, channels, strict=True):
+        times = np.asarray(run.times)
+        for axis, channel in zip(row, residual.T, strict=True):
+            for first, last in gaps(times, np.isfinite(channel)):
+                axis.axvspan(first, last, color=GAP, lw=0)
+            axis.plot(times, channel, ".", color=MODELLED, ms=1.2, rasterized=True)
+            for level in (-1.96, 1.96):
+                axis.axhline(level, color="0.3", lw=0.6, ls=":")
+        row[0].set_ylabel("residual [sd]", fontsize="small")
+        row[1].set_title(_title(run.name, run.role), fontsize="small")
+    for axis, name in zip(axes[-1], CHANNELS, strict=True):
+        axis.set_xlabel(f"time [s] ({name})")
+    return figure
+
+
+def _residuals(found: Fit) -> list[Float[np.ndarray, "n 3"]]:
+    """The whitened residual at each frame of each run, NaN where the frame was lost."""
+    residual = np.array(found.optimum.linearised.residual)
+    if found.heldout_optimum is not None:
+        rows = found.study.numbered("heldout")
+        residual[rows] = found.heldout_optimum.linearised.residual[rows]
+    return [
+        np.where(np.isfinite(np.asarray(run.pose)), mine[: run.times.shape[0]], np.nan)
+        for run, mine in zip(found.study.runs, residual, strict=True)
+    ]
+
+
+def gaps(times: Float[np.ndarray, " n"], present: np.ndarray) -> Iterator[tuple[float, float]]:
+    """(first, last) time [s] of each stretch of lost frames, half a frame wider at both ends."""
+    half = float(np.median(np.diff(times))) / 2
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], ~np.asarray(present), [False]]).astype(int)))
+    for first, after in zip(edges[::2], edges[1::2], strict=True):
+        yield float(times[first]) - half, float(times[after - 1]) + half
+
+
+def save(figure: Figure, folder: Path | str, name: str) -> list[Path]:
+    """Write `figure` to NAME.png and NAME.svg in `folder`, made where it is not there; the paths written."""
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    written = [folder / f"{name}.png", folder / f"{name}.svg"]
+    for path in written:
+        figure.savefig(path, dpi=150)
+    return written
