@@ -1,0 +1,442 @@
+"""Comparison: where, when and with what a fitted model fails. Everything here is counted, nothing is refitted.
+
+The residual e of a sample is measured minus modelled, over the standard deviation of the noise: white and of variance 1
+where the model lacks nothing.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import optimize, stats
+
+from ._check import estimate_noise
+from ._effect import Motion
+from ._fit import Fit, FitError, Score, fit, starting_model
+from ._recording import Case, Noise
+from ._simulate import motions, simulate
+from ._study import Optimum, Study
+
+CHANNELS = ("x", "y", "heading")
+LAGS = 20
+ALPHA = 0.05
+KNOTS = 6
+HARMONICS = 3
+SPAN = 0.25
+"""The rate of a residual is taken over this time [s]: short against a gait, long against a frame."""
+CIRCULAR = ("gait_phase", "heading")
+"""Variables that are angles: what depends on them has no beginning and no end."""
+
+
+class Track(NamedTuple):
+    """The residual of one run: `residual` (n, 3) in standard deviations `sd` [m, m, rad], NaN where nothing was seen.
+
+    `variables`, each (n,): what the fitted model does meanwhile.
+    """
+
+    run: str
+    role: str
+    times: Float[np.ndarray, " n"]
+    residual: Float[np.ndarray, "n 3"]
+    sd: Float[np.ndarray, "3"]
+    variables: dict[str, Float[np.ndarray, " n"]]
+
+
+class Stretch(NamedTuple):
+    """The misfit, mean e^2 over `samples`, of one channel of one run from `begin` to `end` [s]; 1 is noise."""
+
+    run: str
+    channel: str
+    begin: float
+    end: float
+    misfit: float
+    samples: int
+
+
+class Moment(NamedTuple):
+    """A sample far from the model: measured minus modelled in standard deviations and in m or rad."""
+
+    run: str
+    time: float
+    channel: str
+    deviations: float
+    size: float
+
+
+class Whiteness(NamedTuple):
+    """The portmanteau test of one channel of one run; see `portmanteau`."""
+
+    run: str
+    channel: str
+    statistic: float
+    lags: int
+    p_value: float
+
+
+class Share(NamedTuple):
+    """The share of a channel's residual variance that goes with a variable; see `explained`.
+
+    `channel` is x, y or heading, or its rate (`x_rate`). `p_value` is that of this pair alone, `p_family` that of the best among all pairs that were looked at.
+    """
+
+    variable: str
+    channel: str
+    share: float
+    p_value: float
+    p_family: float
+
+
+class Comparison(NamedTuple):
+    """Where a model fails. `stretches`, `worst` and `whiteness` are of all runs, `shares` of the train runs."""
+
+    stretches: tuple[Stretch, ...]
+    worst: tuple[Moment, ...]
+    whiteness: tuple[Whiteness, ...]
+    shares: tuple[Share, ...]
+
+    @property
+    def white(self) -> bool:
+        """No run and channel differs from white noise, at 5% for all of them together (Bonferroni)."""
+        return all(test.p_value * len(self.whiteness) > ALPHA for test in self.whiteness)
+
+    @property
+    def depends_on(self) -> tuple[Share, ...]:
+        """The shares that are not chance, at 5% for all of them together, the largest first."""
+        return tuple(share for share in self.shares if share.p_family <= ALPHA)
+
+
+class Side(NamedTuple):
+    """One model in a table of several: its scores, or in `failure` why it has none."""
+
+    model: str
+    train: Score | None
+    heldout: Score | None
+    failure: str | None = None
+
+
+def compare(found: Fit, *, length: float = 1.0, count: int = 8) -> Comparison:
+    """Where `found` fails: over stretches of `length` [s], and the `count` worst moments."""
+    seen = tracks(found)
+    return Comparison(
+        tuple(stretch for track in seen for stretch in stretches(track, length)),
+        worst(seen, count, length),
+        tuple(test for track in seen for test in whiteness(track)),
+        explained([track for track in seen if track.role == "train"]),
+    )
+
+
+def side_by_side(
+    case: Case, kinds: Sequence[str] = ("ideal", "rayleigh", "pacejka"), noise: Noise | None = None
+) -> tuple[Side, ...]:
+    """Each kind of model fitted to the same runs, with misfit and rms error on train and held-out runs.
+
+    `noise`: as given, else the case's own, else as the recordings show it.
+    **Raises:** `InputError` for an unknown kind; a fit that fails is a row that says why.
+    """
+    noise = noise or case.noise or estimate_noise(case.runs)
+
+    def side(kind: str) -> Side:
+        try:
+            found = fit(starting_model(case, kind), case.runs, noise)
+        except FitError as error:
+            return Side(kind, None, None, str(error))
+        return Side(kind, found.train_score, found.heldout_score)
+
+    return tuple(side(kind) for kind in kinds)
+
+
+# --- Residuals and what the model does meanwhile ---------------------------------------------------------------------
+
+
+def tracks(found: Fit) -> tuple[Track, ...]:
+    """The residual of each run of `found`, train runs first, and the variables it may depend on."""
+    judged = [("train", found.optimum), ("heldout", found.heldout_optimum)]
+    return tuple(
+        _track(found.study, optimum, k)
+        for role, optimum in judged
+        if optimum is not None
+        for k in found.study.numbered(role)
+    )
+
+
+def _track(study: Study, optimum: Optimum, k: int) -> Track:
+    run, n = study.runs[k], study.runs[k].times.shape[0]
+    weight = np.asarray(study.batch.weight)[k, :n]
+    residual = np.where(weight > 0, np.asarray(optimum.linearised.residual)[k, :n], np.nan)
+    batch = jax.tree.map(lambda leaf: leaf[k], study.batch)
+    motion = _motion(study.fitted(optimum), batch, optimum.start[k], study.accuracy)
+    motion = jax.tree.map(lambda leaf: np.asarray(leaf)[:n], motion)
+    return Track(run.name, run.role, np.asarray(run.times), residual, np.asarray(study.noise.channels), _named(motion))
+
+
+@eqx.filter_jit
+def _motion(model, batch, start, accuracy) -> Motion:
+    model = eqx.tree_at(lambda m: m.board, model, replace_fn=lambda board: board.loaded(*batch.payload))
+    return motions(model, batch.gait, simulate(model, batch.gait, batch.times, start, accuracy=accuracy))[0]
+
+
+def _named(motion: Motion) -> dict[str, np.ndarray]:
+    """The variables by name; SI units and radians."""
+    ends = ("front", "back") if len(motion.wheels) == 2 else range(len(motion.wheels))
+    return {
+        "gait_phase": gait_phase(motion.time, motion.steering.angle, motion.rotor.angle),
+        **{f"slip_{end}": wheel.lateral for end, wheel in zip(ends, motion.wheels, strict=True)},
+        "speed": np.hypot(motion.u, motion.w),
+        "x": motion.x,
+        "y": motion.y,
+        "heading": motion.heading,
+        "steering_angle": motion.steering.angle,
+        "steering_rate": motion.steering.rate,
+        "rotor_angle": motion.rotor.angle,
+        "rotor_rate": motion.rotor.rate,
+        "time": motion.time,
+    }  # type: ignore[return-value]
+
+
+def gait_phase(times: np.ndarray, *joints: np.ndarray) -> np.ndarray:
+    """w t modulo 2 pi [rad], w the frequency at which the first of `joints` that moves swings most; 0 where none."""
+    for angle in joints:
+        if np.ptp(angle) > 1e-9:
+            return np.mod(_fundamental(times, angle) * times, 2 * np.pi)
+    return np.zeros_like(times)
+
+
+def _fundamental(times: np.ndarray, angle: np.ndarray) -> float:
+    """The angular frequency [rad/s] of the sine that fits `angle` best, from the peak of its periodogram."""
+    size = 8 * times.size
+    step = (times[-1] - times[0]) / (times.size - 1)
+    power = np.abs(np.fft.rfft(angle - angle.mean(), size))
+    bin_ = 2 * np.pi / (size * step)
+    peak = bin_ * max(int(np.argmax(power[1:])) + 1, 1)
+
+    def left(frequency: float) -> float:
+        turn = frequency * times
+        sines = np.stack([np.cos(turn), np.sin(turn), np.ones_like(turn)], axis=1)
+        return float(np.sum((angle - sines @ np.linalg.lstsq(sines, angle)[0]) ** 2))
+
+    found = optimize.minimize_scalar(left, bounds=(peak - 4 * bin_, peak + 4 * bin_), method="bounded")
+    return float(found.x)  # type: ignore[attr-defined]
+
+
+# --- Where and when --------------------------------------------------------------------------------------------------
+
+
+def stretches(track: Track, length: float = 1.0) -> tuple[Stretch, ...]:
+    """The misfit of each channel over equal stretches of about `length` [s]; those without a sample are left out."""
+    edges = _edges(track.times, length)
+    bins = np.clip(np.searchsorted(edges, track.times, side="right") - 1, 0, edges.size - 2)
+    found = []
+    for c, channel in enumerate(CHANNELS):
+        seen = np.isfinite(track.residual[:, c])
+        count = np.bincount(bins[seen], minlength=edges.size - 1)
+        total = np.bincount(bins[seen], track.residual[seen, c] ** 2, edges.size - 1)
+        found += [
+            Stretch(track.run, channel, float(edges[b]), float(edges[b + 1]), float(total[b] / count[b]), int(count[b]))
+            for b in np.flatnonzero(count)
+        ]
+    return tuple(found)
+
+
+def _edges(times: np.ndarray, length: float) -> np.ndarray:
+    number = max(round(float(times[-1] - times[0]) / length), 1)
+    return np.linspace(times[0], times[-1], number + 1)
+
+
+def worst(seen: Sequence[Track], count: int = 8, length: float = 1.0) -> tuple[Moment, ...]:
+    """The `count` samples furthest from the model, in standard deviations, no two of a channel within `length` [s]."""
+    found: list[Moment] = []
+    for moment in sorted(_peaks(seen, length), key=lambda m: -abs(m.deviations)):
+        near = (
+            m.run == moment.run and m.channel == moment.channel and abs(m.time - moment.time) < length for m in found
+        )
+        if len(found) < count and not any(near):
+            found.append(moment)
+    return tuple(found)
+
+
+def _peaks(seen: Sequence[Track], length: float) -> Iterator[Moment]:
+    """The furthest sample of each half `length` of each channel."""
+    for track in seen:
+        bins = np.floor((track.times - track.times[0]) / (length / 2))
+        for c, channel in enumerate(CHANNELS):
+            size = np.nan_to_num(np.abs(track.residual[:, c]), nan=-1.0)
+            for b in np.unique(bins[size >= 0]):
+                k = int(np.argmax(np.where(bins == b, size, -1.0)))
+                e = float(track.residual[k, c])
+                yield Moment(track.run, float(track.times[k]), channel, e, e * float(track.sd[c]))
+
+
+# --- Is it noise? ----------------------------------------------------------------------------------------------------
+
+
+def whiteness(track: Track, lags: int = LAGS) -> tuple[Whiteness, ...]:
+    """The `portmanteau` test of each channel that was seen."""
+    return tuple(
+        Whiteness(track.run, channel, *portmanteau(track.residual[:, c], lags))
+        for c, channel in enumerate(CHANNELS)
+        if np.isfinite(track.residual[:, c]).sum() > 1
+    )
+
+
+def portmanteau(residual: Float[np.ndarray, " n"], lags: int = LAGS) -> tuple[float, int, float]:
+    """(statistic, lags, p-value) of the hypothesis that the present samples of `residual` are white with mean zero.
+
+    With N present samples of mean square s^2, and the n_k pairs at lag k of which both are present,
+
+        Q = (N + 2) / N  sum_k c_k^2 / (n_k s^4)        c_k = sum over the pairs of e_t e_{t+k}
+
+    is chi^2 of `lags` degrees of freedom. Without gaps it is Ljung and Box's (Biometrika 1978, eq. 1.3). Independent
+    samples of any distribution will do: a product of two has variance s^4. The mean is not taken out.
+    """
+    present = np.isfinite(residual)
+    e, N = np.where(present, residual, 0.0), int(present.sum())
+    square = float((e**2).sum()) / max(N, 1)
+    lags = max(min(lags, N // 4), 1)
+    if square == 0.0:
+        return 0.0, lags, 1.0
+    pairs = np.array([(present[k:] & present[:-k]).sum() for k in range(1, lags + 1)])
+    products = np.array([e[k:] @ e[:-k] for k in range(1, lags + 1)])
+    used = pairs > 0
+    statistic = (N + 2) / N * float((products[used] ** 2 / (pairs[used] * square**2)).sum())
+    return statistic, int(used.sum()), float(stats.chi2.sf(statistic, used.sum()))
+
+
+# --- What does it depend on? -----------------------------------------------------------------------------------------
+
+
+def explained(seen: Sequence[Track], *, flips: int = 999, seed: int = 0) -> tuple[Share, ...]:
+    """The share of each channel's residual that is a function of each variable alone, the largest first.
+
+    Both the residual e and its rate over `SPAN` are looked at (`x`, `x_rate`): in the rate, what accumulated before is
+    forgotten. With Q an orthonormal basis of curves over the variable (straight lines between `KNOTS` quantiles;
+    `HARMONICS` sines and cosines of an angle), without what is constant in each run, and blocks b of samples,
+
+        z_b = Q_b^T e_b        R^2 = |sum_b z_b|^2 / |e|^2        share = (R^2 - R0^2) / (1 - R0^2)
+
+    where R0^2 = sum_b |z_b|^2 / |e|^2 is what chance explains: the mean of R^2 over all signs of the blocks. Flipping
+    signs at random gives the p-value (the wild bootstrap of Wu 1986, by blocks): it keeps how residuals hang together
+    within a block, and blocks are as long as they do. The family's p-value is that of the largest standardised cube
+    root of R^2 over all pairs, under the same flips. A variable that stands still is left out.
+    """
+    if not seen:
+        return ()
+    random = np.random.default_rng(seed)
+    rates = [track._replace(residual=rate(track)) for track in seen]
+    named = [*_flipped(seen, "", flips, random), *_flipped(rates, "_rate", flips, random)]
+    if not named:
+        return ()
+    pairs, observed, chance, null = zip(*named, strict=True)
+    return _ranked(pairs, np.array(observed), np.array(chance), np.array(null))
+
+
+def rate(track: Track) -> Float[np.ndarray, "n 3"]:
+    """The rate of change of the residual over `SPAN` [standard deviations / s], NaN where an end of it is missing."""
+    step = float(track.times[-1] - track.times[0]) / (track.times.size - 1)
+    half = max(round(SPAN / 2 / step), 1)
+    found = np.full_like(track.residual, np.nan)
+    found[half:-half] = (track.residual[2 * half :] - track.residual[: -2 * half]) / (2 * half * step)
+    return found
+
+
+def _flipped(seen: Sequence[Track], suffix: str, flips: int, random: np.random.Generator) -> Iterator[tuple]:
+    """For each variable and channel: their names, R^2, R0^2, and R^2 under each of the flips (flips,)."""
+    block = blocks(seen)
+    signs = random.choice([-1.0, 1.0], (flips, int(block.max()) + 1))
+    for c, channel in enumerate(CHANNELS):
+        residual = np.concatenate([track.residual[:, c] for track in seen])
+        present = np.isfinite(residual)
+        centre = _centring(seen, present)
+        e = centre(residual[present])
+        square = float(e @ e)
+        for variable in seen[0].variables:
+            values = np.concatenate([track.variables[variable] for track in seen])[present]
+            if square == 0.0 or np.ptp(values) == 0.0:
+                continue
+            Q = _orthonormal(centre(curves(values, variable in CIRCULAR)))
+            z = _sums(Q * e[:, None], block[present], signs.shape[1])
+            chance, observed = float((z**2).sum()), float((z.sum(axis=0) ** 2).sum())
+            if chance > 0.0:
+                null = ((signs @ z) ** 2).sum(axis=1) / square
+                yield (variable, channel + suffix), observed / square, chance / square, null
+
+
+def _ranked(pairs, observed, chance, null) -> tuple[Share, ...]:
+    tamed, found = np.cbrt(null), np.cbrt(observed)
+    mean, sd = tamed.mean(axis=1), np.maximum(tamed.std(axis=1), 1e-12)
+    largest = ((tamed - mean[:, None]) / sd[:, None]).max(axis=0)
+    share = np.clip((observed - chance) / np.maximum(1 - chance, 1e-12), 0.0, 1.0)
+    alone = (1 + (null >= observed[:, None]).sum(axis=1)) / (1 + null.shape[1])
+    family = (1 + (largest >= ((found - mean) / sd)[:, None]).sum(axis=1)) / (1 + null.shape[1])
+    shares = [Share(*pairs[k], float(share[k]), float(alone[k]), float(family[k])) for k in range(len(pairs))]
+    return tuple(sorted(shares, key=lambda s: -s.share))
+
+
+def curves(values: Float[np.ndarray, " n"], circular: bool) -> Float[np.ndarray, "n k"]:
+    """Columns that span the curves over `values`: harmonics of an angle, else hats on quantiles."""
+    if circular:
+        turns = np.arange(1, HARMONICS + 1) * values[:, None]
+        return np.concatenate([np.cos(turns), np.sin(turns)], axis=1)
+    knots = np.unique(np.quantile(values, np.linspace(0.0, 1.0, KNOTS)))
+    return np.stack([np.interp(values, knots, hat) for hat in np.eye(knots.size)], axis=1)
+
+
+def _centring(seen: Sequence[Track], present: Bool[np.ndarray, " n"]) -> Callable[[np.ndarray], np.ndarray]:
+    """A function that takes the mean of each run out of the columns of what is present."""
+    run = np.repeat(np.arange(len(seen)), [track.times.size for track in seen])[present]
+    count = np.maximum(np.bincount(run, minlength=len(seen)), 1)
+
+    def centre(columns: np.ndarray) -> np.ndarray:
+        table = columns.reshape(run.size, -1)
+        means = _sums(table, run, len(seen)) / count[:, None]
+        return (table - means[run]).reshape(columns.shape)
+
+    return centre
+
+
+def _sums(table: Float[np.ndarray, "n k"], group: Int[np.ndarray, " n"], groups: int) -> Float[np.ndarray, "groups k"]:
+    """The sums of the rows of each group."""
+    return np.stack([np.bincount(group, column, groups) for column in table.T], axis=1)
+
+
+def _orthonormal(columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n r"]:
+    sizes, vectors = np.linalg.eigh(columns.T @ columns)
+    firm = sizes > 1e-8 * columns.shape[0]
+    return columns @ (vectors[:, firm] / np.sqrt(sizes[firm]))
+
+
+def blocks(seen: Sequence[Track], shortest: float = 0.1) -> Int[np.ndarray, " n"]:
+    """The number of the block of each sample of all runs.
+
+    A block lasts four times as long as a residual takes to forget itself (correlation below 0.1, in the channel that
+    remembers longest), so a whole period where it swings; at least `shortest` [s], at most half of the shortest run.
+    """
+    spans = [float(track.times[-1] - track.times[0]) for track in seen]
+    length = max(min(4 * max(map(_memory, seen)), min(spans) / 2), shortest)
+    numbers, first = [], 0
+    for track, span in zip(seen, spans, strict=True):
+        within = max(int(span / length), 1)
+        own = np.minimum((track.times - track.times[0]) / span * within, within - 0.5).astype(int)
+        numbers.append(first + own)
+        first += within
+    return np.concatenate(numbers)
+
+
+def _memory(track: Track) -> float:
+    """The time [s] after which the autocorrelation of every channel has fallen below 0.1."""
+    lags = [_forgotten(track.residual[:, c]) for c in range(len(CHANNELS))]
+    return max(lags) * float(track.times[-1] - track.times[0]) / (track.times.size - 1)
+
+
+def _forgotten(residual: Float[np.ndarray, " n"]) -> int:
+    present = np.isfinite(residual)
+    if not present.any():
+        return 1
+    e = np.where(present, residual - residual[present].mean(), 0.0)
+    size = 2 * e.size
+    products, pairs = (np.fft.irfft(np.abs(np.fft.rfft(part, size)) ** 2)[: e.size] for part in (e, present * 1.0))
+    correlation = products / np.maximum(pairs, 1.0)
+    low = np.flatnonzero(correlation < 0.1 * correlation[0])
+    return int(low[0]) if low.size else e.size
