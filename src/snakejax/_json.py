@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ._compare import Comparison, Side
 from ._errors import InputError, at_line
 from ._fit import MODELS, Estimate, Fit, RunScore, Score
 from ._model import Model
@@ -143,6 +144,50 @@ def combinations_json(combinations: Mapping[str, Estimate]) -> Json:
 def correlation_json(found: Fit) -> Json:
     """The correlation of the estimates: `names`, and `matrix` in that order."""
     return {"names": [short(name) for name in found.optimum.loose], "matrix": found.correlation}
+
+
+def comparison_json(failing: Comparison, sides: Sequence[Side] = ()) -> Json:
+    """Where a model fails; `models`, where several were put side by side."""
+    return {
+        "white": failing.white,
+        "whiteness": [
+            {"run": t.run, "channel": t.channel, "statistic": t.statistic, "lags": t.lags, "p_value": t.p_value}
+            for t in failing.whiteness
+        ],
+        "depends_on": [
+            {"variable": s.variable, "channel": s.channel, "share": s.share, "p_value": s.p_family}
+            for s in failing.depends_on
+        ],
+        "worst": [
+            {
+                "run": m.run,
+                "time_s": m.time,
+                "channel": m.channel,
+                "residual_sd": m.deviations,
+                "residual": m.size,
+                "unit": channel_unit(m.channel),
+            }
+            for m in failing.worst
+        ],
+        "stretches": [
+            {"run": s.run, "channel": s.channel, "begin_s": s.begin, "end_s": s.end, "misfit": s.misfit}
+            for s in failing.stretches
+        ],
+        "models": [
+            {
+                "model": side.model,
+                "misfit": misfit_json(side.train, side.heldout),
+                "rmse": rmse_json(side.train, side.heldout),
+                "failure": side.failure,
+            }
+            for side in sides
+        ],
+    }
+
+
+def channel_unit(channel: str) -> str:
+    """The unit of x, y or heading."""
+    return "rad" if channel == "heading" else "m"
 
 
 def noise_json(noise: Noise) -> Json:
@@ -304,6 +349,14 @@ def write_whole(path: Path | str, text: str) -> Path:
         if temporary is not None:
             Path(temporary).unlink(missing_ok=True)
     return path
+
+
+def require_writable(path: Path | str) -> None:
+    """**Raises:** `InputError` where a file at `path` could not be written, said before the work and not after it."""
+    path = Path(path).absolute()
+    there = next(parent for parent in path.parents if parent.exists())
+    if path.is_dir() or not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
+        raise InputError("Cannot write there", str(path), "name a file in a folder you may write to")
 
 
 def _umask() -> int:

@@ -70,7 +70,7 @@ def preset(name: str, load: float | None = None, camber: float | None = None) ->
         raise InputError(f"There is no preset `{name}`", "argument CASE", instead_of(name, PRESETS))
     duration, phi, psi = GAITS[name]
     gait = Gait(Tracked(Sines.of(phi), **GAINS), Tracked(Sines.of(psi), **GAINS))
-    times = jnp.arange(round(duration * FRAME_RATE) + 1) / FRAME_RATE
+    times = jnp.asarray(np.arange(round(duration * FRAME_RATE) + 1) / FRAME_RATE)
     if name in LOADS:
         model = _loaded(
             *(given if given is not None else usual for given, usual in zip((load, camber), LOADS[name], strict=True))

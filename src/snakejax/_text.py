@@ -8,6 +8,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from ._compare import Comparison, Side
 from ._fit import Estimate, Fit, RunScore, Score
 from ._json import model_kind, short, skid_kind
 from ._model import Model
@@ -169,4 +170,58 @@ def fit_report(case: Case, noise: Noise, found: Fit, intervals: Mapping[str, Int
     if found.heldout_score is not None:
         parts.append(Text(score_line("held out", found.heldout_score)))
     parts += [Text(f"! {sentence}", style="yellow") for sentence in found.advice]
+    return Group(*parts)
+
+
+SHOWN = 5
+"""How many lines a list of what fails has on a terminal; the JSON has all."""
+
+
+def worst_table(failing: Comparison) -> Table:
+    """The moments furthest from the model."""
+    right = ("time\n[s]", "off by\n[sd]", "off by\n[mm, mrad]")
+    table = plain_table("run", "channel", *right, right=right)
+    for m in failing.worst[:SHOWN]:
+        add_row(table, m.run, m.channel, f"{m.time:.2f}", f"{m.deviations:.1f}", f"{1e3 * m.size:.3g}")
+    return table
+
+
+def shares_table(failing: Comparison) -> Table:
+    """What the residual, or its rate, goes with."""
+    table = plain_table("goes with", "of", "share", "p", right=("share", "p"))
+    for s in failing.depends_on[:SHOWN]:
+        of = s.channel.replace("_rate", ", its rate")
+        add_row(table, s.variable, of, f"{100 * s.share:.0f}%", f"{s.p_family:.2g}")
+    return table
+
+
+def sides_table(sides: Sequence[Side]) -> Table:
+    """Several models fitted to the same runs."""
+    right = ("misfit", "held out", "rms\n[mm]", "rms\n[mrad]")
+    table = plain_table("model", *right, right=right)
+    for side in sides:
+        if side.train is None:
+            add_row(table, side.model, side.failure or "failed")
+            continue
+        shown = side.heldout or side.train
+        heldout = misfit_text(side.heldout and side.heldout.misfit)
+        errors = (f"{1e3 * shown.position_m:.3g}", f"{1e3 * shown.heading_rad:.3g}")
+        add_row(table, side.model, misfit_text(side.train.misfit), heldout, *errors)
+    return table
+
+
+def compare_report(failing: Comparison, sides: Sequence[Side] = ()) -> RenderableType:
+    """All that `snakejax compare` says of a case beside its fit."""
+    white = "is white noise" if failing.white else "is not white noise"
+    parts: list[RenderableType] = [
+        Text(),
+        Text(f"What the model leaves {white}, at 5% over all runs and channels (portmanteau test)."),
+    ]
+    if not failing.depends_on:
+        parts.append(Text("It goes with no variable, at 5% over all of them."))
+    parts += [Text(), indented(worst_table(failing))]
+    if failing.depends_on:
+        parts.append(indented(shares_table(failing)))
+    if sides:
+        parts.append(indented(sides_table(sides)))
     return Group(*parts)

@@ -9,11 +9,11 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from .._errors import InputError
-from . import check, fit, new, simulate
+from . import check, compare, fit, new, simulate
 from ._options import Formatter
 
 DONE, FAILED, WRONG, INTERRUPTED = 0, 1, 2, 130
-COMMANDS = (check, new, fit, simulate)
+COMMANDS = (check, new, fit, compare, simulate)
 
 _EXAMPLES = """\
 examples:
@@ -34,7 +34,7 @@ def parser() -> argparse.ArgumentParser:
     """The parser of every command."""
     top = _Parser(
         prog="snakejax",
-        description="Simulate a skidding snakeboard, fit its tyres to recordings, and see where the two disagree.",
+        description="Simulate a skidding snakeboard, fit its tyres to recordings,\nand see where the two disagree.",
         epilog=_EXAMPLES,
         formatter_class=Formatter,
         allow_abbrev=False,

@@ -93,6 +93,9 @@ def _effects(specs: list[EffectSpec], saved: SavedFit | None) -> tuple[OrderedDi
     held, given = set(), set()
     for name in [*remembered, *(n for n in named if n not in remembered)]:
         spec = named.get(name, EffectSpec(name, None, {}))
+        if name not in named and name not in LIBRARY:
+            what = f"The saved fit has the effect `{name}`, which is not built in"
+            raise InputError(what, "option --from", "say where it is, with --effect FILE.py:Class")
         kind = effect_class(spec)
         fixed = spec.values
         values = {**remembered.get(name, {}), **fixed}

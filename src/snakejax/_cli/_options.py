@@ -67,6 +67,20 @@ def add_model(command: Any) -> None:
     )
 
 
+def add_fitting(command: Any) -> None:
+    """How to fit."""
+    command.add_argument(
+        "--free", metavar="B,C,D,E", help="parameters to estimate (default: all of the tyre and the effects)"
+    )
+    command.add_argument(
+        "--robust",
+        metavar="SD",
+        nargs="?",
+        const="",
+        help="count residuals above this many standard deviations linearly (default 3)",
+    )
+
+
 class EffectSpec(NamedTuple):
     """One `--effect`: `source` is None for a built-in one, else the file and class to take it from."""
 
@@ -146,6 +160,8 @@ def given(options: argparse.Namespace) -> Mapping[str, Any]:
     """The options a user gave, for the record."""
     skipped = ("run", "command", "cases", "seed", "json", "out", "quiet")
     renamed = {"saved": "from"}
+    if getattr(options, "robust", None) is not None:
+        options = argparse.Namespace(**{**vars(options), "robust": threshold(options.robust)})
     return {
         renamed.get(name, name): value
         for name, value in vars(options).items()

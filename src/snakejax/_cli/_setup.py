@@ -141,6 +141,7 @@ def each_case(
 
     start_jax()
     from .._fit import FitError
+    from .._json import require_writable
 
     status, cases = DONE, {}
     for path, case in read_cases(options.cases, presets, options):
@@ -155,6 +156,9 @@ def each_case(
         return status
     # With one good CASE of several, a folder was asked for all the same.
     wanted = targets(options, [*cases] if len(options.cases) == 1 else [*cases, *([""] * (len(cases) == 1))])
+    for path in [*wanted.values(), *(Path(d) / "file" for d in (options.out, getattr(options, "csv", None)) if d)]:
+        if path is not None:
+            require_writable(path)
     with progress(options.quiet) as say:
         for count, (name, case) in enumerate(cases.items(), 1):
             label = f"{name} ({count}/{len(cases)})" if len(cases) > 1 else name

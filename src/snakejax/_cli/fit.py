@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .._errors import InputError
-from ._options import add_cases, add_command, add_model, given, names, threshold
+from ._options import add_cases, add_command, add_fitting, add_model, given, names, threshold
 from ._setup import Clock, Outcome, Say, each_case
 
 if TYPE_CHECKING:
@@ -25,16 +25,7 @@ def add(commands: Any) -> None:
     )
     add_cases(command)
     add_model(command)
-    command.add_argument(
-        "--free", metavar="B,C,D,E", help="parameters to estimate (default: all of the tyre and the effects)"
-    )
-    command.add_argument(
-        "--robust",
-        metavar="SD",
-        nargs="?",
-        const="",
-        help="count residuals above this many standard deviations linearly (default 3)",
-    )
+    add_fitting(command)
     command.add_argument(
         "--profile", metavar="C,E", help="95%% intervals of these by profile, where a standard error misleads"
     )

@@ -20,7 +20,7 @@ def add(commands: Any) -> None:
         "simulate",
         run,
         "write what a model says of the runs of a case",
-        "Simulate the runs of a case, or an example of the paper. Without --set or --from a case is fitted first.",
+        "Simulate the runs of a case, or an example of the paper.\nWithout --set or --from a case is fitted first.",
         "snakejax simulate paper-rotate --model rayleigh --set k_s=9 --csv out",
     )
     add_cases(command, presets=True)

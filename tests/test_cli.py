@@ -1,0 +1,377 @@
+"""The command line: what it says, what it writes, and how it ends."""
+
+import json
+import math
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+import pytest
+
+import snakejax
+from snakejax._cli import main
+from snakejax._cli._main import parser, prepared
+from snakejax._json import clean, saved_fit, write_whole
+
+DATA = Path(__file__).resolve().parents[1] / "data"
+LEVEL = DATA / "level-board"
+LINE = re.compile(r"snakejax: error: [^\n]+, [^\n]+: [^\n]+\n")
+
+SHORT = """
+title = "the first seconds of level-board"
+skid = "free"
+
+[board]
+mass_kg = 7.0
+rotor_inertia_kgm2 = 0.0238
+wheelset_inertia_kgm2 = 0.001
+half_length_m = 0.25
+creep_speed_mps = 0.01
+
+[noise]
+position_m = 0.0004
+heading_rad = 0.0025
+
+[actuator]
+kp = 100.0
+kd = 10.0
+
+[[runs]]
+role = "train"
+mocap = "train-forward-1.csv"
+object = "board:board"
+phi = [[0.916, 4.0, 0.0]]
+psi = [[1.57, 4.0, 0.0]]
+window_s = [0.0, 4.0]
+
+[[runs]]
+role = "heldout"
+mocap = "heldout-reverse-1.csv"
+object = "board:board"
+phi = [[0.7, 3.0, 0.0]]
+psi = [[1.4, 3.0, 3.14159265]]
+window_s = [0.0, 4.0]
+"""
+
+SPRING = """
+import jax.numpy as jnp
+import snakejax as sj
+
+
+class WorldSpring(sj.Force):
+    sentence = "A spring pulls the board to the origin."
+    k: sj.Scalar = sj.param("N/m", low=0.0, default=0.0)
+
+    def wrench(self, motion):
+        X, Y = motion.into_body(-self.k * motion.x, -self.k * motion.y)
+        return X, Y, jnp.zeros_like(X)
+"""
+
+
+class Said(NamedTuple):
+    status: int
+    out: str
+    err: str
+
+
+@pytest.fixture(scope="session")
+def compiled(pytestconfig: pytest.Config) -> Path:
+    """Where these tests keep compiled programs, so that they leave the user's cache alone."""
+    assert pytestconfig.cache is not None
+    return pytestconfig.cache.mkdir("snakejax")
+
+
+@pytest.fixture
+def say(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, compiled: Path) -> Callable[..., Said]:
+    """Run a command in this process."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(compiled))
+
+    def run(*arguments: Any) -> Said:
+        status = main([str(argument) for argument in arguments])
+        return Said(status, *capsys.readouterr())
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small case: four seconds of two runs."""
+    folder = tmp_path_factory.mktemp("cases") / "short-board"
+    folder.mkdir()
+    (folder / "case.toml").write_text(SHORT, encoding="utf-8")
+    for name in ("train-forward-1.csv", "heldout-reverse-1.csv"):
+        (folder / name).write_bytes((LEVEL / name).read_bytes())
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ((), "required: COMMAND"),
+        (("fly",), "invalid choice: 'fly'"),
+        (("fit",), "required: CASE"),
+        (("fit", "nowhere"), "There is no such folder, nowhere: give the folder with case.toml"),
+        (("fit", LEVEL, "--seed", "x"), "invalid int value"),
+        (("fit", LEVEL, "--foo"), "--foo"),
+        (("fit", "paper-rotate"), "holds no recording"),
+        (("fit", LEVEL, "--free", "Q"), "No parameter is called `Q`, option --free"),
+        (("fit", LEVEL, "--effect", "ground_slop"), 'option --effect: write "ground_slope"'),
+        (("fit", LEVEL, "--effect", "ground_slope:q=1"), "no parameter `q`"),
+        (("fit", LEVEL, "--effect", "rolling_resistance:f=-1"), "must be at least 0"),
+        (("fit", LEVEL, "--effect", "no.py:Spring"), "There is no file `no.py`"),
+        (("fit", LEVEL, "--effect", "no.py"), "write no.py:Class"),
+        (("fit", LEVEL, "--effect", "lateral_skid:x=1"), "has no parameters"),
+        (("fit", LEVEL, "--effect", "com_offset", "--skid", "coupled"), "cannot act here"),
+        (("fit", LEVEL, "--robust=-1"), "option --robust"),
+        (("fit", LEVEL, "--from", "no.json"), "Cannot read the saved fit"),
+        (("fit", LEVEL, "--from", DATA / "README.md"), "is no JSON"),
+        (("fit", LEVEL, LEVEL), "Two CASEs are called `level-board`"),
+        (("fit", LEVEL, DATA / "spring-board", "--json", "-"), "name a folder"),
+        (("fit", LEVEL, "--json", LEVEL / "case.toml" / "x.json"), "Cannot write"),
+        (("simulate", LEVEL, "--set", "B=6"), "C, D, E have no value, option --set"),
+        (("simulate", LEVEL, "--set", "B"), "`B` sets nothing"),
+        (("simulate", LEVEL, "--set", "B=1,B=2"), "given twice"),
+        (("simulate", LEVEL, "--set", "B=six"), "no finite number"),
+        (("simulate", LEVEL, "--set", "B=6,C=1.4,D=6,E=2"), "must be at most 1"),
+        (("simulate", LEVEL, "--effect", "ground_slope"), "no value for `sx`"),
+        (("simulate", LEVEL, "--load", "3"), "options --load and --camber"),
+        (("simulate", "paper-rotat"), 'write "paper-rotate"'),
+        (("simulate", "paper-rotate", "--load", "3"), "knows no load"),
+        (("simulate", "paper-gait1", "--load", "-3"), "A load of -3 N is none"),
+        (("simulate", "paper-gait1", "--camber", "30"), "A camber of 30 rad is none"),
+        (("simulate", "paper-rotate", "--start", "1,2"), "`1,2` is no pose"),
+        (("simulate", "paper-rotate", "--set", "k_s=9"), "add --model rayleigh"),
+        (("simulate", "paper-rotate", "--model", "rayleigh"), "k_s has no value"),
+        (("new", DATA / "level-board"), "There is something already"),
+    ],
+)
+def test_wrong_input_is_one_line_and_status_2(say, arguments: tuple, expected: str) -> None:
+    said = say(*arguments)
+    assert said.status == 2
+    assert said.out == ""
+    assert LINE.fullmatch(said.err), said.err
+    assert expected in said.err
+
+
+def test_help_ends_well(say) -> None:
+    assert say("--help").status == 0
+    for command in ("check", "new", "fit", "compare", "simulate"):
+        said = say(command, "--help")
+        assert said.status == 0
+        assert "example:\n  snakejax" in said.out
+        assert max(map(len, said.out.splitlines())) <= 80
+
+
+def test_the_examples_in_the_help_can_be_parsed(say) -> None:
+    for command in ("check", "new", "fit", "compare", "simulate"):
+        example = say(command, "--help").out.split("example:\n")[1].split()
+        assert parser().parse_args(prepared(example[1:])).command == command
+
+
+def test_help_does_not_wait_for_jax() -> None:
+    script = "import sys; from snakejax._cli import main; main(['--help']); assert 'jax' not in sys.modules"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_pose_that_begins_with_a_minus_is_no_option() -> None:
+    assert prepared(["--start", "-1,0,0"]) == ["--start=-1,0,0"]
+    assert prepared(["--robust", "CASE"]) == ["--robust=", "CASE"]
+    assert prepared(["--robust", "2.5", "CASE"]) == ["--robust", "2.5", "CASE"]
+
+
+def test_new_then_check(say, tmp_path: Path) -> None:
+    folder = tmp_path / "my-board"
+    assert say("new", folder).status == 0
+    said = say("check", folder)
+    assert said.status == 2
+    assert "train-1.csv" in said.err
+    for name, source in (("train-1.csv", "train-forward-1.csv"), ("heldout-1.csv", "heldout-reverse-1.csv")):
+        (folder / name).write_bytes((LEVEL / source).read_bytes())
+    said = say("check", folder, "--json", tmp_path / "check.json")
+    assert said.status == 0
+    assert "12.00 s   100.0 Hz" in said.out
+    found = json.loads((tmp_path / "check.json").read_text())
+    assert [run["run"] for run in found["runs"]] == ["train-1", "heldout-1"]
+
+
+def test_paper_rotate_turns_as_published(say, tmp_path: Path) -> None:
+    """P1: an independent integration gives 0.916 rad under Table II and 1.003 rad under Rayleigh with k_s = 9."""
+    said = say("simulate", "paper-rotate", "--csv", tmp_path, "--quiet")
+    assert (said.status, said.out) == (0, "")
+    lines = (tmp_path / "paper-rotate.csv").read_text().splitlines()
+    assert lines[0] == "time_s,x_m,y_m,heading_rad"
+    table = np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
+    np.testing.assert_allclose(table[:, 0], np.arange(1401) / 100, atol=1e-12)
+    np.testing.assert_allclose(table[0], 0.0)
+    assert table[-1, 3] == pytest.approx(0.916, abs=1e-3)
+    said = say("simulate", "paper-rotate", "--model", "rayleigh", "--set", "k_s=9", "--json", "-")
+    found = json.loads(said.out)
+    assert found["runs"][0]["end"]["heading_rad"] == pytest.approx(1.003, abs=1e-3)
+    assert (found["case"], found["model"], found["skid"]) == ("paper-rotate", "rayleigh", "coupled")
+
+
+def test_the_start_pose_moves_the_whole_path(say) -> None:
+    def end(*more: str) -> np.ndarray:
+        found = json.loads(say("simulate", "paper-forward", "--json", "-", *more).out)
+        return np.array([found["runs"][0]["end"][key] for key in ("x_m", "y_m", "heading_rad")])
+
+    x, y, heading = end()
+    turned = end("--start", f"-1,2,{math.pi / 2}")
+    np.testing.assert_allclose(turned, (-1 - y, 2 + x, heading + math.pi / 2), atol=1e-6)
+
+
+def test_presets_follow_load(say) -> None:
+    found = json.loads(say("simulate", "paper-gait2", "--json", "-", "--load", "4").out)
+    assert found["model"] == "bakker"
+    assert found["base"]["parameters"]["load"]["value"] == 4.0
+    assert found["base"]["parameters"]["camber"] == {
+        "value": 0.3,
+        "sd": None,
+        "unit": "rad",
+        "determined": None,
+        "held": True,
+    }
+
+
+@pytest.fixture
+def fitted(say, short: Path, tmp_path: Path) -> tuple[dict, Path]:
+    """A fit of the small case and the file that holds it."""
+    path = tmp_path / "fit.json"
+    said = say("fit", short, "--free", "B,D", "--set", "C=1.5,E=-0.12", "--json", path, "--quiet")
+    assert said == (0, "", "")
+    return json.loads(path.read_text()), path
+
+
+def test_fit_writes_what_the_contract_says(fitted: tuple[dict, Path]) -> None:
+    found, _ = fitted
+    head = {"schema", "case", "model", "skid", "noise", "provenance"}
+    assert head | {"base", "runs", "correlation", "combinations", "advice", "seconds"} <= set(found)
+    assert (found["schema"], found["case"], found["model"], found["skid"]) == (1, "short-board", "pacejka", "free")
+    assert set(found["noise"]) == {"position_m", "heading_rad", "source"}
+    assert set(found["provenance"]) == {"versions", "seed", "options", "sha256"}
+    assert {"python", "snakejax", "jax", "diffrax", "optimistix", "equinox", "numpy"} <= set(
+        found["provenance"]["versions"]
+    )
+    assert set(found["provenance"]["sha256"]) == {"case.toml", "train-forward-1.csv", "heldout-reverse-1.csv"}
+    base = found["base"]
+    assert set(base["parameters"]) == {"B", "C", "D", "E"}
+    assert {"value", "sd", "unit", "determined", "interval"} <= set(base["parameters"]["B"])
+    assert base["parameters"]["C"] == {"value": 1.5, "sd": None, "unit": "-", "determined": None, "held": True}
+    assert set(base["misfit"]) == set(base["rmse"]) == {"train", "heldout"}
+    assert set(base["rmse"]["train"]) == {"position_m", "heading_rad"}
+    assert [set(run) >= {"run", "role", "misfit", "worst_time_s", "channels"} for run in found["runs"]] == [True, True]
+    assert set(found["runs"][0]["channels"]) == {"x", "y", "heading"}
+    assert set(found["seconds"]) == {"total", "compile"}
+
+
+def test_fit_finds_the_answer(fitted: tuple[dict, Path]) -> None:
+    """The values with which level-board was simulated, given C and E, lie within a few standard errors."""
+    found, _ = fitted
+    for name, truth in (("B", 7.589), ("D", 8.543)):
+        entry = found["base"]["parameters"][name]
+        assert abs(entry["value"] - truth) < 5 * entry["sd"] + 0.02 * truth
+    assert found["base"]["misfit"]["train"] == pytest.approx(1, abs=0.15)
+    assert found["base"]["misfit"]["heldout"] == pytest.approx(1, abs=0.15)
+
+
+def test_a_saved_fit_is_simulated(say, fitted: tuple[dict, Path], short: Path, tmp_path: Path) -> None:
+    found, path = fitted
+    said = say("simulate", short, "--from", path, "--csv", tmp_path / "csv", "--json", "-")
+    again = json.loads(said.out)
+    for before, after in zip(found["runs"], again["runs"], strict=True):
+        assert after["misfit"] == pytest.approx(before["misfit"], rel=1e-2)
+    rows = (tmp_path / "csv" / "train-forward-1.csv").read_text().splitlines()
+    assert len(rows) == 402
+
+
+def test_compare_says_where_it_fails(say, short: Path, tmp_path: Path) -> None:
+    """With the tyre that level-board was simulated with, what is left is the noise."""
+    said = say("compare", short, "--set", "B=7.589,C=1.515,E=-0.122", "--json", tmp_path / "c.json")
+    assert said.status == 0
+    assert "is white noise" in said.out
+    assert max(map(len, said.out.splitlines())) <= 80
+    found = json.loads((tmp_path / "c.json").read_text())["comparison"]
+    assert found["white"] is True
+    assert {"run", "time_s", "channel", "residual_sd", "residual", "unit"} == set(found["worst"][0])
+    said = say("compare", short, "--against", "wheel")
+    assert said.status == 2
+    assert "option --against" in said.err
+
+
+def test_several_cases_and_one_that_is_wrong(say, short: Path, tmp_path: Path) -> None:
+    values = "B=7.6,C=1.5,D=8.5,E=-0.1"
+    said = say(
+        *("simulate", tmp_path / "none", short, "paper-rotate", "--json", tmp_path / "out"),
+        *("--skid", "free", "--set", values, "--quiet"),
+    )
+    assert said.status == 2
+    assert LINE.fullmatch(said.err)
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"short-board.json", "paper-rotate.json"}
+
+
+def test_an_effect_of_ones_own_is_fitted(say, short: Path, tmp_path: Path) -> None:
+    own = tmp_path / "mine.py"
+    own.write_text(SPRING, encoding="utf-8")
+    path = tmp_path / "fit.json"
+    said = say("fit", short, "--model", "ideal", "--effect", f"{own}:WorldSpring", "--json", path)
+    assert said.status == 0
+    assert "world_spring.k" in said.out
+    assert max(map(len, said.out.splitlines())) <= 80
+    saved = saved_fit(path)
+    assert (saved.model, saved.skid) == ("ideal", "ideal")
+    assert set(saved.effects["world_spring"]) == {"k"}
+    said = say("simulate", short, "--from", path)
+    assert said.status == 2
+    assert "with --effect FILE.py:Class" in said.err
+
+
+def test_what_is_no_finite_number_is_null() -> None:
+    value = {"a": np.array([1.0, np.nan]), "b": (math.inf, 2), "c": np.float64(3.0), "d": None, "e": True}
+    assert clean(value) == {"a": [1.0, None], "b": [None, 2], "c": 3.0, "d": None, "e": True}
+
+
+def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
+    path = write_whole(tmp_path / "sub" / "a.json", "before")
+    with pytest.raises(UnicodeEncodeError):
+        write_whole(path, "after \udc80")
+    assert path.read_text() == "before"
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_names_are_where_the_type_checker_sees_them() -> None:
+    text = Path(snakejax.__file__).read_text(encoding="utf-8")
+    seen = set(re.findall(r"^    from \.\w+ import (\w+) as \1$", text, re.MULTILINE))
+    assert seen == set(snakejax.__all__)
+    for name in seen:
+        assert getattr(snakejax, name) is not None
+    with pytest.raises(AttributeError, match="nothing"):
+        snakejax.nothing  # noqa: B018
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals differ there")
+def test_an_interrupt_is_one_line_and_status_130(compiled: Path) -> None:
+    started = subprocess.Popen(
+        [sys.executable, "-m", "snakejax", "fit", str(LEVEL)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "XDG_CACHE_HOME": str(compiled)},
+    )
+    time.sleep(1.0)
+    started.send_signal(signal.SIGINT)
+    out, err = started.communicate(timeout=60)
+    assert (started.returncode, out) == (130, "")
+    assert re.fullmatch(r"snakejax: error: Interrupted[^\n]*\n", err), err
+
+
+def test_double_precision_is_on() -> None:
+    assert jax.config.jax_enable_x64
