@@ -21,6 +21,7 @@ from ._simulate import motions, simulate
 from ._study import Optimum, Study
 
 CHANNELS = ("x", "y", "heading")
+RATES = ("forward_rate", "sideways_rate", "heading_rate")
 LAGS = 20
 ALPHA = 0.05
 KNOTS = 6
@@ -79,7 +80,8 @@ class Whiteness(NamedTuple):
 class Share(NamedTuple):
     """The share of a channel's residual variance that goes with a variable; see `explained`.
 
-    `channel` is x, y or heading, or its rate (`x_rate`). `p_value` is that of this pair alone, `p_family` that of the best among all pairs that were looked at.
+    `channel` is one of CHANNELS or RATES. `p_value` is that of this pair alone, `p_family` that of the best among all
+    pairs that were looked at.
     """
 
     variable: str
@@ -310,22 +312,22 @@ def portmanteau(residual: Float[np.ndarray, " n"], lags: int = LAGS) -> tuple[fl
 def explained(seen: Sequence[Track], *, flips: int = 999, seed: int = 0) -> tuple[Share, ...]:
     """The share of each channel's residual that is a function of each variable alone, the largest first.
 
-    Both the residual e and its rate over `SPAN` are looked at (`x`, `x_rate`): in the rate, what accumulated before is
-    forgotten. With Q an orthonormal basis of curves over the variable (straight lines between `KNOTS` quantiles;
-    `HARMONICS` sines and cosines of an angle), without what is constant in each run, and blocks b of samples,
+    Both the residual e and its rate (see `rate`) are looked at, each run and channel at its own root mean square, so
+    that all runs count alike. With Q an orthonormal basis of curves over the variable (straight lines between `KNOTS`
+    quantiles; `HARMONICS` sines and cosines of an angle), without what is constant in each run, and blocks b,
 
         z_b = Q_b^T e_b        R^2 = |sum_b z_b|^2 / |e|^2        share = (R^2 - R0^2) / (1 - R0^2)
 
     where R0^2 = sum_b |z_b|^2 / |e|^2 is what chance explains: the mean of R^2 over all signs of the blocks. Flipping
     signs at random gives the p-value (the wild bootstrap of Wu 1986, by blocks): it keeps how residuals hang together
     within a block, and blocks are as long as they do. The family's p-value is that of the largest standardised cube
-    root of R^2 over all pairs, under the same flips. A variable that stands still is left out.
+    root of R^2 over all pairs, under the same flips in a channel. A variable that stands still is left out.
     """
     if not seen:
         return ()
     random = np.random.default_rng(seed)
     rates = [track._replace(residual=rate(track)) for track in seen]
-    named = [*_flipped(seen, "", flips, random), *_flipped(rates, "_rate", flips, random)]
+    named = [*_flipped(seen, CHANNELS, flips, random), *_flipped(rates, RATES, flips, random)]
     if not named:
         return ()
     pairs, observed, chance, null = zip(*named, strict=True)
@@ -333,20 +335,27 @@ def explained(seen: Sequence[Track], *, flips: int = 999, seed: int = 0) -> tupl
 
 
 def rate(track: Track) -> Float[np.ndarray, "n 3"]:
-    """The rate of change of the residual over `SPAN` [standard deviations / s], NaN where an end of it is missing."""
+    """The rate of change of the residual over `SPAN` [standard deviations / s], NaN where an end of it is missing.
+
+    It forgets what accumulated before, and is turned into the frame of the modelled board: forward, sideways, heading.
+    """
     step = float(track.times[-1] - track.times[0]) / (track.times.size - 1)
     half = max(round(SPAN / 2 / step), 1)
     found = np.full_like(track.residual, np.nan)
     found[half:-half] = (track.residual[2 * half :] - track.residual[: -2 * half]) / (2 * half * step)
-    return found
+    cosine, sine = np.cos(track.variables["heading"]), np.sin(track.variables["heading"])
+    east, north, turn = found.T
+    return np.stack([cosine * east + sine * north, cosine * north - sine * east, turn], axis=1)
 
 
-def _flipped(seen: Sequence[Track], suffix: str, flips: int, random: np.random.Generator) -> Iterator[tuple]:
+def _flipped(
+    seen: Sequence[Track], channels: Sequence[str], flips: int, random: np.random.Generator
+) -> Iterator[tuple]:
     """For each variable and channel: their names, R^2, R0^2, and R^2 under each of the flips (flips,)."""
-    block = blocks(seen)
-    signs = random.choice([-1.0, 1.0], (flips, int(block.max()) + 1))
-    for c, channel in enumerate(CHANNELS):
-        residual = np.concatenate([track.residual[:, c] for track in seen])
+    for c, channel in enumerate(channels):
+        block = blocks(seen, c)
+        signs = random.choice([-1.0, 1.0], (flips, int(block.max()) + 1))
+        residual = np.concatenate([_alike(track.residual[:, c]) for track in seen])
         present = np.isfinite(residual)
         centre = _centring(seen, present)
         e = centre(residual[present])
@@ -360,7 +369,13 @@ def _flipped(seen: Sequence[Track], suffix: str, flips: int, random: np.random.G
             chance, observed = float((z**2).sum()), float((z.sum(axis=0) ** 2).sum())
             if chance > 0.0:
                 null = ((signs @ z) ** 2).sum(axis=1) / square
-                yield (variable, channel + suffix), observed / square, chance / square, null
+                yield (variable, channel), observed / square, chance / square, null
+
+
+def _alike(residual: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    present = np.isfinite(residual)
+    size = float(residual[present].std()) if present.any() else 0.0
+    return residual / size if size > 0.0 else residual
 
 
 def _ranked(pairs, observed, chance, null) -> tuple[Share, ...]:
@@ -370,7 +385,10 @@ def _ranked(pairs, observed, chance, null) -> tuple[Share, ...]:
     share = np.clip((observed - chance) / np.maximum(1 - chance, 1e-12), 0.0, 1.0)
     alone = (1 + (null >= observed[:, None]).sum(axis=1)) / (1 + null.shape[1])
     family = (1 + (largest >= ((found - mean) / sd)[:, None]).sum(axis=1)) / (1 + null.shape[1])
-    shares = [Share(*pairs[k], float(share[k]), float(alone[k]), float(family[k])) for k in range(len(pairs))]
+    shares = [
+        Share(variable, channel, float(share[k]), float(alone[k]), float(family[k]))
+        for k, (variable, channel) in enumerate(pairs)
+    ]
     return tuple(sorted(shares, key=lambda s: -s.share))
 
 
@@ -407,30 +425,25 @@ def _orthonormal(columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n r"]:
     return columns @ (vectors[:, firm] / np.sqrt(sizes[firm]))
 
 
-def blocks(seen: Sequence[Track], shortest: float = 0.1) -> Int[np.ndarray, " n"]:
+def blocks(seen: Sequence[Track], channel: int, shortest: float = 0.1) -> Int[np.ndarray, " n"]:
     """The number of the block of each sample of all runs.
 
-    A block lasts four times as long as a residual takes to forget itself (correlation below 0.1, in the channel that
-    remembers longest), so a whole period where it swings; at least `shortest` [s], at most half of the shortest run.
+    In each run a block lasts four times as long as the residual of `channel` takes to forget itself (correlation below
+    0.1), so a whole period where it swings; at least `shortest` [s], at most half of the run.
     """
-    spans = [float(track.times[-1] - track.times[0]) for track in seen]
-    length = max(min(4 * max(map(_memory, seen)), min(spans) / 2), shortest)
     numbers, first = [], 0
-    for track, span in zip(seen, spans, strict=True):
-        within = max(int(span / length), 1)
+    for track in seen:
+        span = float(track.times[-1] - track.times[0])
+        memory = _forgotten(track.residual[:, channel]) * span / (track.times.size - 1)
+        within = max(int(span / max(min(4 * memory, span / 2), shortest)), 1)
         own = np.minimum((track.times - track.times[0]) / span * within, within - 0.5).astype(int)
         numbers.append(first + own)
         first += within
     return np.concatenate(numbers)
 
 
-def _memory(track: Track) -> float:
-    """The time [s] after which the autocorrelation of every channel has fallen below 0.1."""
-    lags = [_forgotten(track.residual[:, c]) for c in range(len(CHANNELS))]
-    return max(lags) * float(track.times[-1] - track.times[0]) / (track.times.size - 1)
-
-
 def _forgotten(residual: Float[np.ndarray, " n"]) -> int:
+    """After how many samples the autocorrelation has fallen below 0.1."""
     present = np.isfinite(residual)
     if not present.any():
         return 1
