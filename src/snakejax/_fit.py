@@ -20,7 +20,7 @@ from ._units import parameters, with_parameters
 MODELS = ("pacejka", "rayleigh", "ideal")
 HORIZONS = (1.5, 4.0)
 """The first seconds [s] on which a fit finds its way before it takes whole runs: errors have not grown there yet."""
-GOOD_START = 1.2
+GOOD_START = 1.1
 LOOSE = 0.5
 """A parameter is undetermined where its relative standard error (for E: the standard error) is larger than this."""
 
@@ -197,7 +197,7 @@ def approach(
     """Find the way to the optimum over the first seconds of the runs, from several starts where the first fails."""
 
     def first(candidate: Mapping[str, float]) -> Optimum:
-        return study.fit(candidate, free, runs, until=HORIZONS[0], tolerance=0.5, weak_prior=True)
+        return study.fit(candidate, free, runs, until=HORIZONS[0], tolerance=2.0, weak_prior=True, most=10)
 
     progress("first seconds")
     require_sensitive(study, values, free, runs)
@@ -206,10 +206,10 @@ def approach(
         others = other_starts(study, values, free)
         costs = [_cost(study, other, runs, HORIZONS[0]) for other in others]
         for k in np.argsort(costs)[:2]:
-            best = min(best, first(others[k]), key=lambda o: o.misfit if np.isfinite(o.misfit) else np.inf)
+            best = min(best, first(others[k]), key=study.plausibility)
     for until in HORIZONS[1:]:
         progress(f"first {until:g} seconds")
-        best = study.fit(best.values, free, runs, best.start, until=until, tolerance=0.3, weak_prior=True)
+        best = study.fit(best.values, free, runs, best.start, until=until, tolerance=1.0, weak_prior=True, most=10)
     return best
 
 

@@ -1,7 +1,7 @@
 """Whole-run least squares: the residuals of many runs, their Jacobian, and the one room that knows optimistix."""
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,7 +14,19 @@ from jaxtyping import Array, Float, Int
 from ._batch import Batch
 from ._model import Model
 from ._simulate import Accuracy, simulate
-from ._units import Domain, parameters, with_parameters
+from ._units import Domain, Scalar, parameters, with_parameters
+
+
+REACH = 3.0
+MOST_STEPS = 60
+
+
+def _on_residuals(change: Any) -> Scalar:
+    """Two-norm of a change of the residuals (a tuple), zero for one of the unknowns.
+
+    So a fit ends when a step no longer changes what is seen: |J dz| is the step in units of standard errors.
+    """
+    return optx.two_norm(change) if isinstance(change, tuple) else jnp.zeros(())
 
 
 class _LevenbergMarquardt(optx.AbstractGaussNewton):
@@ -25,10 +37,15 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
 
     rtol: float
     atol: Float[Array, ""]
-    norm: Callable = optx.max_norm
+    most: Int[Array, ""]
+    norm: Callable = _on_residuals
     descent: optx.AbstractDescent = optx.DampedNewtonDescent(linear_solver=lx.QR())
     search: optx.AbstractSearch = optx.ClassicalTrustRegion(high_cutoff=0.5, high_constant=8.0)
     verbose: Callable = lambda **_: None  # noqa: E731
+
+    def terminate(self, fn, y, args, options, state, tags):
+        done, result = super().terminate(fn, y, args, options, state, tags)
+        return done | (state.num_steps >= self.most), result
 
 
 class Unknowns(eqx.Module):
@@ -78,10 +95,16 @@ def unknowns(model: Model, names: Sequence[str], free: Sequence[str], runs: Batc
 
 
 def moved(domains: list[Domain], at: Unknowns, steps: Float[Array, " K"]) -> Float[Array, " P"]:
-    """The parameter values after `steps`; a step across a bound of the domain is reflected back inside."""
+    """The parameter values after `steps`; a step across a bound of the domain is reflected back inside.
+
+    Where a parameter has a natural scale the steps saturate at `REACH` of it, so that one wild step of a fit does not
+    end where a simulation takes for ever; a fit that wants further gets there by being taken up again.
+    """
     low, high = (np.array([getattr(domain, end) for domain in domains]) for end in ("low", "high"))
     multiplicative = np.array([domain.multiplicative for domain in domains])
+    scaled = np.array([domain.multiplicative or domain.typical is not None for domain in domains])
     shift = jnp.einsum("k,kp->p", steps, at.directions)
+    shift = jnp.where(scaled, REACH * jnp.tanh(shift / REACH), shift)
     values = jnp.where(multiplicative, at.values * jnp.exp(shift), at.values + shift)
     above, below = values > high, values < low
     values = jnp.where(above, 2 * np.where(np.isfinite(high), high, 0.0) - values, values)
@@ -140,7 +163,7 @@ def _robust(r, J, threshold):
 
 @eqx.filter_jit
 def _solve(
-    model, at: Unknowns, batch: Batch, order, count, scale, start_scale, prior, tolerance, threshold, accuracy
+    model, at: Unknowns, batch: Batch, order, count, scale, start_scale, prior, tolerance, threshold, most, accuracy
 ):
     width, depth = at.directions.shape[0], at.start.shape[1]
     R = batch.times.shape[0]
@@ -159,10 +182,10 @@ def _solve(
 
     solution = optx.least_squares(
         residuals,
-        _LevenbergMarquardt(rtol=1e-6, atol=tolerance),
+        _LevenbergMarquardt(rtol=0.0, atol=tolerance, most=most),
         jnp.zeros(width + R * depth),
         has_aux=True,
-        max_steps=100,
+        max_steps=MOST_STEPS,
         throw=False,
     )
     z = solution.value
@@ -181,15 +204,17 @@ def solve(
     scale: np.ndarray | None = None,
     start_scale: np.ndarray | None = None,
     prior: tuple[np.ndarray, np.ndarray] | None = None,
-    tolerance: float = 1e-3,
+    tolerance: float = 0.05,
     threshold: float = np.inf,
+    most: int = MOST_STEPS,
     accuracy: Accuracy,
 ) -> Solved:
     """Levenberg-Marquardt from `at` over the runs numbered `runs`.
 
     Steps are counted in units of `scale` (K,) and `start_scale` (R, S), so that a step of one changes the residuals by
-    about one standard deviation of the noise; it ends when steps and residuals change by less than `tolerance`. An
-    infinite tolerance evaluates at `at` and moves nothing. `prior` (mean, 1 / spread) of the steps, each (K,), if any.
+    about one standard deviation of the noise; it ends when the residuals, as one vector, change by less than `tolerance`. An
+    infinite tolerance evaluates at `at` and moves nothing. `prior` (mean, 1 / spread) of the steps, each (K,), if any. `most`
+    bounds the number of steps.
     """
     R, S = batch.start.shape
     order = np.zeros(R, np.int64)
@@ -208,9 +233,10 @@ def solve(
         (jnp.asarray(prior[0]), jnp.asarray(prior[1])),
         jnp.asarray(tolerance),
         jnp.asarray(threshold),
+        jnp.asarray(most),
         accuracy,
     )
-    return Solved(ended, Linearised(*(np.asarray(part) for part in linearised)), int(steps), bool(converged))
+    return Solved(ended, Linearised(*(np.asarray(part) for part in linearised)), int(steps), bool(converged) and int(steps) < most)
 
 
 def evaluate(model: Model, at: Unknowns, batch: Batch, runs: list[int], accuracy: Accuracy) -> Linearised:

@@ -14,9 +14,13 @@ from ._recording import Noise, Run
 from ._simulate import Accuracy
 from ._units import parameters, with_parameters
 
-FIT_ACCURACY = Accuracy(rtol=1e-6, atol=1e-8, derivative="forward")
+FIT_ACCURACY = Accuracy(rtol=1e-6, atol=1e-8, max_steps=32768, derivative="forward")
 """Accuracy of a fit: its errors stay below a hundredth of a millimetre, far below the noise of motion capture."""
 
+DEPENDENT = 100.0
+"""How many neighbouring samples share one error of a wrong model."""
+_RELATIVE = 3e-3
+_SCALE_SPREAD = 0.7
 _CAREFUL, _BOLD = 30.0, 300.0
 """Levenberg-Marquardt's first unit step changes the residuals by this many standard deviations of the noise."""
 
@@ -106,13 +110,14 @@ class Study(eqx.Module):
         *,
         until: float = np.inf,
         threshold: float = np.inf,
-        tolerance: float = 1e-2,
+        tolerance: float = 0.05,
         weak_prior: bool = False,
+        most: int = 60,
     ) -> Optimum:
         """Least squares over `runs` from `values`, each parameter kept in its domain.
 
         A parameter that wants to leave its domain is held on the bound while the others move, and let go where the
-        misfit would fall inside. `until` [s] leaves out what comes later; `threshold` is that of Huber's loss;
+        misfit would fall inside. `until` [s] leaves out what comes later; `threshold` is that of Huber's loss; `most` bounds the steps;
         `weak_prior` pulls towards what is typical, for a first approach.
         """
         runs, free = list(runs), list(free)
@@ -123,6 +128,7 @@ class Study(eqx.Module):
         found = evaluate(self.model, at, span, runs, self.accuracy)
         for _ in range(4):
             at = eqx.tree_at(lambda u: u.directions, at, self.at(values, _only(free, held)).directions)
+            rough = self._enough(found, runs, tolerance)
             scale, start_scale = self._scales(at, found, runs, _CAREFUL if weak_prior else _BOLD)
             solved = solve(
                 self.model,
@@ -131,9 +137,10 @@ class Study(eqx.Module):
                 runs,
                 scale=scale,
                 start_scale=start_scale,
-                prior=self._prior(at, free) if weak_prior else None,
-                tolerance=tolerance,
+                prior=self._prior(at, free, found, runs) if weak_prior else None,
+                tolerance=rough,
                 threshold=threshold,
+                most=most,
                 accuracy=self.accuracy,
             )
             steps, converged = steps + solved.steps, solved.converged
@@ -142,7 +149,7 @@ class Study(eqx.Module):
             if held:
                 found = evaluate(self.model, at, span, runs, self.accuracy)
             snapped = self._pressing(at, found, free, runs)
-            if set(snapped) == set(held):
+            if solved.steps >= most or set(snapped) == set(held) and rough <= 4 * self._enough(found, runs, tolerance):
                 break
             at = eqx.tree_at(lambda u: u.values, at, jnp.asarray([snapped.get(n, v) for n, v in self._named(at)]))
             held = list(snapped)
@@ -180,16 +187,39 @@ class Study(eqx.Module):
     def _named(self, at: Unknowns) -> list[tuple[str, float]]:
         return [(name, float(value)) for name, value in zip(self.names, np.asarray(at.values), strict=True)]
 
-    def _prior(self, at: Unknowns, free: list[str]) -> tuple[np.ndarray, np.ndarray]:
-        """(mean, 1 / spread) of the steps from `at` to what is typical."""
+    def _enough(self, found: Linearised, runs: list[int], tolerance: float) -> float:
+        """The change of the residual vector to stop at; a model that is far off need not be fitted to the noise."""
+        square = float((found.residual[runs] ** 2).sum())
+        misfit = square / max(self.samples(runs), 1)
+        return max(tolerance, _RELATIVE * np.sqrt(square)) if misfit > 2 else tolerance
+
+    def _prior(self, at: Unknowns, free: list[str], found: Linearised, runs: list[int]) -> tuple[np.ndarray, np.ndarray]:
+        """(mean, 1 / spread) of the steps from `at` to what is typical, or for a mere scale to where the model began.
+
+        A model that is far off has errors that depend on each other, so the prior counts as much more as they are large.
+        """
+        pull, strength = self.typical(dict(self._named(at)), free)
+        weight = np.sqrt(DEPENDENT * max(1.0, np.mean(np.minimum(found.residual[runs] ** 2, 1e12))))
+        return pull, weight * strength
+
+    def typical(self, values: Mapping[str, float], free: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+        """The steps (K,) from `values` to what is typical, and one over their spread, zero where nothing is."""
         pull, strength = np.zeros(self.width), np.zeros(self.width)
-        values = dict(self._named(at))
-        for row, domain in enumerate(domains_of(self.model, free)):
-            if domain.typical is not None:
-                mean, spread = domain.typical
-                pull[row] = domain.step_to(mean) - domain.step_to(values[free[row]])
-                strength[row] = (mean if domain.multiplicative else 1.0) / spread
+        began = self.values()
+        for row, (name, domain) in enumerate(zip(free, domains_of(self.model, free), strict=True)):
+            if domain.typical is None and not domain.multiplicative:
+                continue
+            mean, spread = (began[name], _SCALE_SPREAD * began[name]) if domain.typical is None else domain.typical
+            pull[row] = domain.step_to(mean) - domain.step_to(values[name])
+            strength[row] = (mean if domain.multiplicative else 1.0) / spread
         return pull, strength
+
+    def plausibility(self, optimum: Optimum) -> float:
+        """-2 log posterior for noise of unknown size, by which optima of different starts are compared."""
+        if not np.isfinite(optimum.misfit):
+            return np.inf
+        pull, strength = self.typical(optimum.values, optimum.free)
+        return optimum.samples / DEPENDENT * float(np.log(optimum.misfit)) + float(((pull * strength) ** 2).sum())
 
     def _pressing(self, at: Unknowns, found: Linearised, free: list[str], runs: list[int]) -> dict[str, float]:
         """The free parameters that stand at a bound of their domain and would go further, with that bound."""

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ._least_squares import Linearised, domains_of, linearise
+from ._least_squares import Linearised, Unknowns, domains_of, linearise
 from ._model import Model
 from ._recording import Noise, Run
 from ._skid import Coupled
@@ -83,6 +83,31 @@ def states(model: Model, run: Run) -> np.ndarray:
     return np.stack([pose[:, 0], pose[:, 1], heading, u, heading - theta, rate[:, 2]], axis=1)
 
 
+def wide(study: Study, values: Mapping[str, float], start: np.ndarray, runs: Sequence[int]) -> Linearised:
+    """Residuals and the Jacobian by every movable parameter at once, for `runs`."""
+    P = len(study.names)
+    point = Unknowns(
+        study.names,
+        jnp.asarray([values[name] for name in study.names]),
+        jnp.eye(P),
+        jnp.asarray(start),
+        study.batch.free_start,
+    )
+    order = np.zeros(len(study.runs), np.int64)
+    order[: len(runs)] = runs
+    found = _linearise(
+        study.model,
+        point,
+        study.batch,
+        jnp.asarray(order),
+        jnp.asarray(len(runs)),
+        jnp.zeros(P),
+        jnp.zeros_like(study.batch.start),
+        study.accuracy,
+    )
+    return Linearised(*(np.asarray(part) for part in found))
+
+
 class Windows(eqx.Module):
     """The train runs of a study as windows, with all movable parameters as directions of one compiled Jacobian."""
 
@@ -113,20 +138,7 @@ class Windows(eqx.Module):
 
     def at(self, values: Mapping[str, float], start: np.ndarray) -> Linearised:
         """Residuals (W, n, 3) and the Jacobian by every name and by the start state."""
-        study, width = self.study, self.study.width
-        point = study.at(values, study.names, start)
-        count = len(study.runs)
-        found = _linearise(
-            study.model,
-            point,
-            study.batch,
-            jnp.arange(count),
-            jnp.asarray(count),
-            jnp.zeros(width),
-            jnp.zeros_like(study.batch.start),
-            study.accuracy,
-        )
-        return Linearised(*(np.asarray(part) for part in found))
+        return wide(self.study, values, start, range(len(self.study.runs)))
 
     def settle(
         self, values: Mapping[str, float], free: Sequence[str], start: np.ndarray | None = None, rounds: int = 12
@@ -158,40 +170,12 @@ class Windows(eqx.Module):
             now, place, found, damping = trial, there, tried, max(damping / 10, 1e-9)
             if gain < 0.1:
                 break
-        return Settled(self, now, place, reduced(found, study.width, np.asarray(study.batch.free_start)), names)
+        return Settled(now, place, found, cost)
 
 
 def _cost(found: Linearised) -> float:
     cost = float((found.residual**2).sum())
     return cost if np.isfinite(cost) else np.inf
-
-
-class Reduced(NamedTuple):
-    """Residual (N,) and parameter columns (N, P) of all windows, with the start states projected out.
-
-    `window` (N,) numbers the window of each row; `lost` counts the start components that were estimated.
-    """
-
-    residual: np.ndarray
-    columns: np.ndarray
-    window: np.ndarray
-    lost: int
-    samples: int
-
-
-def reduced(found: Linearised, width: int, free_start: np.ndarray) -> Reduced:
-    """Project the start states out of each window."""
-    rows, columns, window = [], [], []
-    for k, (r, J) in enumerate(zip(found.residual, found.jacobian, strict=True)):
-        r, J = r.reshape(-1), J.reshape(-1, J.shape[-1])
-        seen = np.abs(J[:, width:]).sum(axis=1) > 0
-        r, J = r[seen], J[seen]
-        q, _ = np.linalg.qr(J[:, width:][:, free_start[k] > 0])
-        rows.append(r - q @ (q.T @ r))
-        columns.append(J[:, :width] - q @ (q.T @ J[:, :width]))
-        window.append(np.full(r.size, k))
-    residual = np.concatenate(rows)
-    return Reduced(residual, np.concatenate(columns), np.concatenate(window), int(free_start.sum()), residual.size)
 
 
 def _newton(found: Linearised, columns: list[int], width: int, free_start: np.ndarray, damping: float):
@@ -221,15 +205,9 @@ def _newton(found: Linearised, columns: list[int], width: int, free_start: np.nd
 
 
 class Settled(NamedTuple):
-    """Windows at the optimum of some parameters: their values, each window's start, and what is left."""
+    """Windows at the optimum of some parameters: their values, each window's start, what is left, and its square."""
 
-    windows: Windows
     values: dict[str, float]
     start: np.ndarray
-    rest: Reduced
-    names: list[str]
-
-    def misfit(self, free: int) -> float:
-        """Mean squared residual, corrected for the start states and `free` parameters that were estimated."""
-        dof = max(self.rest.samples - self.rest.lost - free, 1)
-        return float((self.rest.residual**2).sum() / dof)
+    found: Linearised
+    cost: float
