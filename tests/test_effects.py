@@ -128,6 +128,18 @@ def poses(model: Model, gait: Gait = TURNING, start=(0.3, -0.2, 0.5), times=TIME
     return np.asarray(_poses(model, gait, jnp.asarray(times), jnp.asarray(start), STEPPED))
 
 
+@cache
+def acted(skid: str, name: str) -> np.ndarray:
+    """The poses of TURNING from the usual start with one effect at its strength."""
+    return poses(having(skid, {name: strength(name)}))
+
+
+@cache
+def untouched(skid: str) -> np.ndarray:
+    """The same with every effect neutral."""
+    return poses(neutral(skid))
+
+
 # --- The list --------------------------------------------------------------------------------------------------------
 
 
@@ -167,7 +179,7 @@ def test_refusals_and_their_reasons(name: str) -> None:
 
 @each_skid
 def test_all_neutral_is_all_absent_over_a_run(skid: str) -> None:
-    np.testing.assert_allclose(poses(neutral(skid)), poses(bare(skid)), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(untouched(skid), poses(bare(skid)), rtol=0, atol=1e-12)
 
 
 @each_pair
@@ -186,7 +198,7 @@ def test_neutral_is_absent(name: str, skid: str) -> None:
 
 @each_pair
 def test_it_acts(name: str, skid: str) -> None:
-    moved = poses(having(skid, {name: strength(name)})) - poses(neutral(skid))
+    moved = acted(skid, name) - untouched(skid)
     mute = (name, skid) == ("grip_split", "coupled")
     if mute:
         assert np.abs(moved).max() < 1e-12 and "coupled" in LIBRARY[name].silent
@@ -259,7 +271,7 @@ def turned_over(gait: Gait) -> Gait:
 def test_symmetry_is_kept_or_broken(name: str, skid: str, symmetry: str) -> None:
     change, over = SYMMETRIES[symmetry]
     model, start = having(skid, {name: strength(name)}), np.array([0.3, -0.2, 0.5])
-    expected = change(poses(model, TURNING, start))
+    expected = change(acted(skid, name))
     found = poses(model, turned_over(TURNING) if over else TURNING, change(start))
     if name in SPACE_BROKEN[symmetry]:
         assert np.abs(found - expected).max() > 1e-5
