@@ -57,10 +57,16 @@ class Bench(eqx.Module):
     tyre: tuple[str, ...] = eqx.field(static=True)
     candidates: OrderedDict[str, tuple[str, ...]] = eqx.field(static=True)
     left_out: dict[str, str] = eqx.field(static=True)
+    switched: bool = eqx.field(static=True, default=False)
 
     @staticmethod
-    def of(model: Model, case: Case, noise: Noise, library: Mapping[str, Effect]) -> "Bench":
-        """`model` with every effect of `library` that can act on it, over the runs of `case`."""
+    def of(
+        model: Model, case: Case, noise: Noise, library: Mapping[str, Effect], switched: bool = False
+    ) -> "Bench":
+        """`model` with every effect of `library` that can act on it, over the runs of `case`.
+
+        `switched` says that its structure is not the one the case names.
+        """
         full, left_out, candidates = model, {}, OrderedDict()
         for name, effect in library.items():
             if name in model.effects:
@@ -76,7 +82,7 @@ class Bench(eqx.Module):
         names = [*tyre, *(part for parts in candidates.values() for part in parts)]
         study = Study.of(full, case.runs, noise, names, WIDTH)
         windows = Windows.of(full, case.having("train"), noise, names, WINDOW)
-        return Bench(study, windows, tyre, candidates, left_out)
+        return Bench(study, windows, tyre, candidates, left_out, switched)
 
     @property
     def train(self) -> list[int]:
@@ -198,14 +204,14 @@ def _order(ranked: Ranked) -> tuple[int, float]:
     return 1, -(ranked.score.statistic if ranked.score else 0.0)
 
 
-def base_fit(bench: Bench, progress: Callable[[str], None] = lambda _: None) -> Optimum:
-    """The base: the tyre alone, fitted to whole train runs."""
+def base_fit(bench: Bench, effects: Sequence[str] = (), progress: Callable[[str], None] = lambda _: None) -> Optimum:
+    """The base: the tyre, and `effects` put in from the start, fitted to windows and then to whole train runs."""
     study, train = bench.study, bench.train
     progress("fitting windows")
     require_sensitive(study, study.values(), bench.tyre, train)
-    settled = bench.windows.settle(study.values(), bench.tyre)
+    settled = bench.windows.settle(study.values(), bench.free(effects))
     progress("fitting whole runs")
-    return require_sound(study, refit(bench, (), settled.values), train)
+    return require_sound(study, refit(bench, effects, settled.values), train)
 
 
 def structures(case: Case, kind: str, skid: str | None) -> list[tuple[str, Model]]:

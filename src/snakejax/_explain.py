@@ -1,0 +1,262 @@
+"""The loop: fit, compare, diagnose, add, refit, until only noise is left or nothing known explains the rest."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+from scipy import stats
+
+from ._diagnose import LATERAL_SKID, Bench, Ranked, Step, base_fit, rank, refit, structures
+from ._effect import Effect
+from ._fit import Estimate, RunScore, Score, estimated, judged, pooled, run_scores, spread
+from ._recording import Case, Noise
+from ._score import ALPHA
+from ._study import Optimum
+
+MOST_EFFECTS = 4
+NOISE_SIGMAS = 4.0
+"""Only noise is left where the misfit lies within this many standard deviations of that of noise alone."""
+TELLING = 0.05
+"""An effect that lowers the excess of the misfit over noise by less than this share, without reaching noise, is no help."""
+
+
+class Stage(NamedTuple):
+    """The loop after one step: what was `added` or `dropped`, the fit, its scores, and the candidates beside it."""
+
+    change: str
+    name: str
+    bench: Bench
+    step: Step
+    train: Score
+    heldout: Score | None
+    runs: tuple[RunScore, ...]
+    estimates: dict[str, Estimate]
+    ranking: tuple[Ranked, ...]
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """The effects in the model, `lateral_skid` among them where the structure was changed."""
+        switched = (LATERAL_SKID,) if self.bench.switched else ()
+        return (*switched, *self.step.effects)
+
+
+class Explanation(eqx.Module):
+    """The whole story: `stages[0]` is the base, the last one the final model.
+
+    `verdict`: "adequate", "explained" or "unexplained". `effects`: what explains the recordings. `partial`: what helped
+    without explaining. `left_out`: candidates that do not apply, with the reason.
+    """
+
+    case: Case
+    noise: Noise
+    stages: tuple[Stage, ...]
+    verdict: str
+    effects: tuple[str, ...]
+    partial: tuple[str, ...]
+    left_out: dict[str, str]
+
+    @property
+    def base(self) -> Stage:
+        """The fit before anything was added."""
+        return self.stages[0]
+
+    @property
+    def final(self) -> Stage:
+        """The fit with all that was added."""
+        return self.stages[-1]
+
+
+def noise_band(samples: int, estimated_parameters: float) -> tuple[float, float]:
+    """The misfits between which a model of `estimated_parameters` leaves only noise, for `samples` numbers."""
+    dof = max(samples - estimated_parameters, 1.0)
+    centre, width = dof / samples, NOISE_SIGMAS * np.sqrt(2 * dof) / samples
+    return centre - width, centre + width
+
+
+def only_noise(optimum: Optimum) -> bool:
+    """Whether the misfit is that of noise alone."""
+    return bool(optimum.misfit <= noise_band(optimum.samples, len(optimum.loose))[1])
+
+
+def heldout_noise(bench: Bench, step: Step, heldout: Optimum | None) -> bool:
+    """Whether the held-out misfit is that of noise, allowing for the uncertainty of the parameters carried over."""
+    if heldout is None:
+        return True
+    carried = _carried(bench, step, heldout)
+    return bool(heldout.misfit <= noise_band(heldout.samples, 0)[1] + NOISE_SIGMAS * carried / heldout.samples)
+
+
+def _carried(bench: Bench, step: Step, heldout: Optimum) -> float:
+    """Expected rise of the held-out chi^2 from the errors of the parameters, trace(J cov J^T)."""
+    free = bench.free(step.effects)
+    at = bench.study.at(heldout.values, free, heldout.start)
+    found = bench.study.evaluate(at, bench.study.numbered("heldout"))
+    columns = [free.index(name) for name in step.optimum.loose]
+    J = found.jacobian[bench.study.numbered("heldout")][..., columns].reshape(-1, len(columns))
+    return float(np.trace(J @ step.optimum.covariance @ J.T)) if len(columns) < 1 else float(
+        np.einsum("ni,ij,nj->", J, step.optimum.covariance * spread(step.optimum) ** 2, J)
+    )
+
+
+def stage(bench: Bench, change: str, name: str, step: Step, ranking: Sequence[Ranked] = ()) -> Stage:
+    """Judge `step`: train and held-out scores, estimates."""
+    runs = run_scores(bench.study, step.optimum, bench.train)
+    heldout = judged(bench.study, step.optimum.values)
+    unseen = () if heldout is None else run_scores(bench.study, heldout, bench.study.numbered("heldout"))
+    return Stage(
+        change,
+        name,
+        bench,
+        step,
+        pooled(runs),
+        pooled(unseen) if unseen else None,
+        (*runs, *unseen),
+        estimated(bench.study, step.optimum),
+        tuple(ranking),
+    )
+
+
+def left_out_misfit(bench: Bench, step: Step, folds: Sequence[int]) -> float:
+    """Mean misfit of each train run under parameters fitted to the other train runs."""
+    free, total = bench.free(step.effects), 0.0
+    for k in folds:
+        others = [j for j in bench.train if j != k]
+        fitted = bench.study.fit(
+            step.optimum.values, free, others, step.optimum.start, tolerance=0.5, most=8 if len(free) else 1
+        )
+        total += bench.study.fit(fitted.values, (), [k], step.optimum.start, tolerance=0.5, most=8).misfit
+    return total / max(len(folds), 1)
+
+
+def better(bench: Bench, now: Step, then: Step) -> bool:
+    """Whether `then` predicts train runs it has not seen better than `now`, and enough to matter.
+
+    A fall of chi^2 within a score test's reach of zero is no evidence; a fall to noise from far above it needs no
+    cross-validation to be believed, but gets it all the same where the two are close.
+    """
+    samples = now.optimum.samples
+    fall = samples * (now.optimum.misfit - then.optimum.misfit)
+    variance = max(1.0, then.optimum.misfit)
+    freed = len(then.optimum.free) - len(now.optimum.free)
+    if not np.isfinite(then.optimum.misfit) or fall / variance < stats.chi2.isf(ALPHA / 25, max(freed, 1)):
+        return False
+    if not only_noise(then.optimum):
+        excess = now.optimum.misfit - 1.0
+        if now.optimum.misfit - then.optimum.misfit < TELLING * excess:
+            return False
+    return left_out_misfit(bench, then, bench.train) < left_out_misfit(bench, now, bench.train)
+
+
+def explain(
+    case: Case,
+    noise: Noise,
+    library: Mapping[str, Effect],
+    *,
+    kind: str = "pacejka",
+    skid: str | None = None,
+    with_: Sequence[str] = (),
+    switch: bool = True,
+    progress: Callable[[str], None] = lambda _: None,
+    show: Callable[[Stage], None] = lambda _: None,
+) -> Explanation:
+    """Find out which effects of `library` the recordings of `case` show beyond the base model.
+
+    **Arguments:** `kind`, `skid`: the base model; `with_`: effects in the base from the start; `switch`: whether the
+    change of structure from coupled to free is a candidate; `progress` is told what is being done, `show` each stage.
+    """
+    options = structures(case, kind, skid)[: 2 if switch else 1]
+    bench = Bench.of(options[0][1], case, noise, library)
+    step = Step(tuple(with_), base_fit(bench, with_, progress))
+    ranking = tuple(rank(bench, step, progress=progress))
+    switched = None
+    if len(options) > 1 and not (only_noise(step.optimum) and not _significant(ranking)):
+        progress(f"refitting with {LATERAL_SKID}")
+        switched = Bench.of(options[1][1], case, noise, library, switched=True)
+        other = Step(step.effects, base_fit(switched, with_, progress))
+        ranking = _placed(ranking, Ranked(LATERAL_SKID, None, None, other.optimum, ()))
+    stages = [stage(bench, "base", "", step, ranking)]
+    show(stages[-1])
+    if switched is not None:
+        best = min((r.refit_misfit for r in ranking if r.refit is not None), default=np.inf)
+        if other.optimum.misfit <= best and better_structure(step, other):
+            bench, step = switched, other
+            ranking = tuple(rank(bench, step, progress=progress))
+            stages.append(stage(bench, "added", LATERAL_SKID, step, ranking))
+            show(stages[-1])
+        elif not _ends_in_noise(ranking):
+            # Neither structure explains by itself: follow both, and keep the one that gets further.
+            here = _follow(bench, step, ranking, [], progress, lambda _: None)
+            there_rank = tuple(rank(switched, other, progress=progress))
+            first = stage(switched, "added", LATERAL_SKID, other, there_rank)
+            there = _follow(switched, other, there_rank, [first], progress, lambda _: None)
+            last_here = here[-1].step if here else step
+            chosen = there if there[-1].step.optimum.misfit < last_here.optimum.misfit else here
+            for s in chosen:
+                stages.append(s)
+                show(s)
+            return _concluded(case, noise, stages, bench)
+    stages += _follow(bench, step, ranking, [], progress, show)
+    return _concluded(case, noise, stages, bench)
+
+
+def _follow(bench, step, ranking, before, progress, show) -> list[Stage]:
+    """Add what helps most, one effect after the other, then try to do without each."""
+    stages = list(before)
+    while len(step.effects) < MOST_EFFECTS and not (only_noise(step.optimum) and not _significant(ranking)):
+        found = None
+        for candidate in ranking:
+            if candidate.refit is None:
+                continue
+            then = Step((*step.effects, candidate.effect), candidate.refit)
+            progress(f"does {candidate.effect} predict runs it has not seen?")
+            if better(bench, step, then):
+                found = (candidate.effect, then)
+                break
+        if found is None:
+            break
+        name, step = found
+        ranking = tuple(rank(bench, step, progress=progress))
+        stages.append(stage(bench, "added", name, step, ranking))
+        show(stages[-1])
+    for name in step.effects[:-1]:
+        progress(f"can the model do without {name}?")
+        rest = tuple(effect for effect in step.effects if effect != name)
+        without = Step(rest, refit(bench, rest, step.optimum.values))
+        lost = step.optimum.samples * (without.optimum.misfit - step.optimum.misfit)
+        freed = len(step.optimum.free) - len(without.optimum.free)
+        if lost / max(1.0, step.optimum.misfit) < stats.chi2.isf(ALPHA / 25, max(freed, 1)):
+            step = without
+            stages.append(stage(bench, "dropped", name, step))
+            show(stages[-1])
+    return stages
+
+
+def better_structure(now: Step, then: Step) -> bool:
+    """Whether a change of structure, which frees nothing, lowers the misfit by more than chance."""
+    return then.optimum.samples * (now.optimum.misfit - then.optimum.misfit) > stats.chi2.isf(ALPHA / 25, 1)
+
+
+def _significant(ranking: Sequence[Ranked]) -> bool:
+    return any(r.score is not None and r.score.p_value < ALPHA for r in ranking)
+
+
+def _ends_in_noise(ranking: Sequence[Ranked]) -> bool:
+    return any(r.refit is not None and only_noise(r.refit) for r in ranking)
+
+
+def _placed(ranking: Sequence[Ranked], new: Ranked) -> tuple[Ranked, ...]:
+    """`ranking` with `new`, which has a refit, in its place."""
+    refitted = [r for r in (*ranking, new) if r.refit is not None]
+    return (*sorted(refitted, key=lambda r: r.refit_misfit), *(r for r in ranking if r.refit is None))
+
+
+def _concluded(case: Case, noise: Noise, stages: list[Stage], base: Bench) -> Explanation:
+    last = stages[-1]
+    heldout = judged(last.bench.study, last.step.optimum.values)
+    clean = only_noise(last.step.optimum) and heldout_noise(last.bench, last.step, heldout)
+    if clean:
+        verdict, effects, partial = ("explained" if last.effects else "adequate"), last.effects, ()
+    else:
+        verdict, effects, partial = "unexplained", (), last.effects
+    return Explanation(case, noise, tuple(stages), verdict, effects, partial, dict(base.left_out))
