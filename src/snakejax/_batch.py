@@ -63,7 +63,9 @@ def batch(runs: Sequence[Run], noise: Noise) -> Batch:
     else:
         start, free = poses, np.ones_like(poses)
     return Batch(
-        *(jnp.asarray(np.array(part)) for part in (times, pose, weight)),
+        jnp.asarray(np.array(times)),
+        jnp.asarray(np.array(pose)),
+        jnp.asarray(np.array(weight)),
         stacked_gaits([run.gait for run in runs], float(max(t[-1] for t in times))),
         jnp.stack([jnp.asarray(run.payload) for run in runs]),
         jnp.asarray(start),

@@ -1,7 +1,8 @@
-"""Diagnosis: which effect is missing? Candidates are ranked on short windows, and the best are refitted on whole runs."""
+"""Diagnosis: which effect is missing? Candidates are ranked on short windows, the best refitted on whole runs."""
 
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import equinox as eqx
@@ -15,7 +16,7 @@ from ._score import ALPHA, Reduced, Scored, confusable, reduced, score
 from ._skid import Coupled
 from ._study import Optimum, Study
 from ._units import parameters
-from ._windows import Windows, wide
+from ._windows import Settled, Windows, wide
 
 LATERAL_SKID = "lateral_skid"
 WINDOW = 1.5
@@ -26,8 +27,14 @@ NEARLY = 4.0
 """Below this misfit the errors of whole runs are small enough for a linear score, which is sharper than windows."""
 HOPELESS = 50.0
 """Above this misfit a model is far from the truth, and polishing its parameters would only make them absurd."""
+FAR = 1.1
+"""Above this misfit of the windows, they are searched for a further effect before whole runs are believed."""
+SETTLED = 4
+BEAM = 3
+GAIN = 0.9
+"""A further effect must lower the excess of the windows' misfit over noise to this share, or the search ends."""
 REFITTED = 3
-
+WORKERS = 2
 
 
 class Ranked(NamedTuple):
@@ -38,6 +45,7 @@ class Ranked(NamedTuple):
     predicted_misfit: float | None
     refit: Optimum | None
     confusable_with: tuple[str, ...]
+    prospect: "Prospect | None" = None
 
     @property
     def refit_misfit(self) -> float | None:
@@ -60,9 +68,7 @@ class Bench(eqx.Module):
     switched: bool = eqx.field(static=True, default=False)
 
     @staticmethod
-    def of(
-        model: Model, case: Case, noise: Noise, library: Mapping[str, Effect], switched: bool = False
-    ) -> "Bench":
+    def of(model: Model, case: Case, noise: Noise, library: Mapping[str, Effect], switched: bool = False) -> "Bench":
         """`model` with every effect of `library` that can act on it, over the runs of `case`.
 
         `switched` says that its structure is not the one the case names.
@@ -132,27 +138,121 @@ class Step(NamedTuple):
     optimum: Optimum
 
 
-def scored_at(bench: Bench, step: Step, settle: bool = True) -> tuple[list[Scored], dict[str, dict[str, float]], float]:
-    """Candidates beside `step`, best first; the start values each suggests; and the misfit they were scored against.
+class Prospect(NamedTuple):
+    """A candidate as its score sees it: where to start its refit, and the misfit to expect once it is in."""
 
-    Near the noise whole runs are scored; further off windows are, after the fitted parameters have settled on them.
+    score: Scored
+    values: dict[str, float]
+    misfit: float
+
+
+def prospects(bench: Bench, step: Step, progress: Callable[[str], None] = lambda _: None) -> list[Prospect]:
+    """The candidates beside `step`, the most promising first.
+
+    Near the noise whole runs are scored. Further off windows are, after the fitted parameters have settled on them; and
+    the best few candidates settle there too, each with its own parameters free, so that their order does not rest on a
+    linear model.
     """
     remaining = {name: parts for name, parts in bench.candidates.items() if name not in step.effects}
     fitted = [name for name in bench.free(step.effects) if name not in step.optimum.held]
-    names = bench.study.names
-    if step.optimum.misfit < NEARLY:
-        values = step.optimum.values
+    names, near = bench.study.names, step.optimum.misfit < NEARLY
+    if near:
+        values, start = step.optimum.values, None
         rest = whole_runs(bench, step.optimum)
     else:
-        settled = bench.windows.settle(step.optimum.values, fitted)
-        if settle:
-            fresh = {**step.optimum.values, **{n: bench.study.values()[n] for n in bench.tyre}}
-            settled = min(settled, bench.windows.settle(fresh, fitted), key=lambda s: s.cost)
-        values = settled.values
-        rest = on_windows(bench, values, settled.start)
-    found = score(bench.study.model, names, rest, fitted, remaining, values)
-    misfit = float((rest.residual**2).sum() / max(rest.residual.size - rest.lost - len(fitted), 1))
-    return found, {s.effect: {**values, **s.values} for s in found}, misfit
+        progress("settling on windows")
+        settled = _settled(bench, step, fitted)
+        values, start = settled.values, settled.start
+        rest = on_windows(bench, values, start)
+    dof = max(rest.residual.size - rest.lost - len(fitted), 1)
+    chi2 = float((rest.residual**2).sum())
+    scores = score(bench.study.model, names, rest, fitted, remaining, values)
+    found = [Prospect(s, {**values, **s.values}, max(chi2 - s.reduction, 0.0) / dof) for s in scores]
+    if near:
+        return found
+    return _settle_all(bench, found, remaining, fitted, start, chi2 / dof, dof, progress)
+
+
+def _settle_all(bench, found, remaining, fitted, start, misfit, dof, progress) -> list[Prospect]:
+    """The best of `found`, and those without a derivative at zero, settled on the windows; they come first."""
+    close = [p for p in found if p.score.effect in _probed(bench)]
+    close += [p for p in found if p not in close and p.score.p_value < ALPHA][:SETTLED]
+    progress(f"settling {len(close)} candidates on windows")
+
+    def settle(prospect: Prospect) -> Prospect:
+        parts = remaining[prospect.score.effect]
+        begin = {n: _off_zero(bench, n, v) if n in parts else v for n, v in prospect.values.items()}
+        best = bench.windows.settle(begin, [*fitted, *parts], start, rounds=5)
+        if best.cost / dof > misfit:
+            return prospect._replace(misfit=misfit)
+        changed = prospect.score._replace(values={n: best.values[n] for n in parts})
+        return Prospect(changed, best.values, best.cost / dof)
+
+    with ThreadPoolExecutor(WORKERS) as pool:
+        close = sorted(pool.map(settle, close), key=lambda p: p.misfit)
+    done = {p.score.effect for p in close}
+    return [*close, *(p for p in found if p.score.effect not in done)]
+
+
+class Suspects(NamedTuple):
+    """A set of effects that together explain the windows, with the values found there and the misfit they leave."""
+
+    effects: tuple[str, ...]
+    values: dict[str, float]
+    misfit: float
+
+
+def accomplices(
+    bench: Bench, step: Step, first: Sequence[Prospect], most: int, progress: Callable[[str], None] = lambda _: None
+) -> list[Suspects]:
+    """Sets of effects, searched on the windows alone: the best few of each size, until one leaves little.
+
+    An effect that comes first by itself need not belong to the best pair, so several are followed.
+    """
+    beam = [Suspects((*step.effects, p.score.effect), p.values, p.misfit) for p in first[:BEAM]]
+    everything = list(beam)
+    while beam and beam[0].misfit > FAR and len(beam[0].effects) < most:
+        grown: list[Suspects] = []
+        for suspects in beam:
+            progress(f"who acts beside {' and '.join(suspects.effects)}?")
+            grown += _grown(bench, suspects, {frozenset(g.effects) for g in grown})
+        grown = sorted(grown, key=lambda g: g.misfit)[:BEAM]
+        if not grown or grown[0].misfit - 1 > GAIN * (beam[0].misfit - 1):
+            break
+        beam = grown
+        everything += beam
+    return sorted(everything, key=lambda g: g.misfit)
+
+
+def _grown(bench: Bench, suspects: Suspects, known: set[frozenset[str]]) -> list[Suspects]:
+    """`suspects` and one more, for the few that promise most."""
+    free = bench.free(suspects.effects)
+    settled = bench.windows.settle(suspects.values, free, rounds=2)
+    rest = on_windows(bench, settled.values, settled.start)
+    dof = max(rest.residual.size - rest.lost - len(free), 1)
+    remaining = {n: parts for n, parts in bench.candidates.items() if n not in suspects.effects}
+    scores = score(bench.study.model, bench.study.names, rest, free, remaining, settled.values)
+    new = [s for s in scores if frozenset((*suspects.effects, s.effect)) not in known][:BEAM]
+
+    def settle(s: Scored) -> Suspects:
+        begin = {**settled.values, **{n: _off_zero(bench, n, v) for n, v in s.values.items()}}
+        best = bench.windows.settle(begin, [*free, *remaining[s.effect]], settled.start, rounds=4)
+        return Suspects((*suspects.effects, s.effect), best.values, best.cost / dof)
+
+    with ThreadPoolExecutor(WORKERS) as pool:
+        return list(pool.map(settle, new))
+
+
+def _settled(bench: Bench, step: Step, fitted: Sequence[str]) -> Settled:
+    """The fitted parameters on the windows, from where they are and from where the tyre began."""
+    fresh = {**step.optimum.values, **{n: bench.study.values()[n] for n in bench.tyre}}
+    with ThreadPoolExecutor(WORKERS) as pool:
+        both = pool.map(lambda values: bench.windows.settle(values, fitted, rounds=8), (step.optimum.values, fresh))
+    return min(both, key=lambda s: s.cost)
+
+
+def _probed(bench: Bench) -> set[str]:
+    return {name.split(".")[1] for name in bench.probes()}
 
 
 def refit(bench: Bench, effects: Sequence[str], values: Mapping[str, float]) -> Optimum:
@@ -174,27 +274,31 @@ def _off_zero(bench: Bench, name: str, value: float) -> float:
 
 
 def rank(
-    bench: Bench,
-    step: Step,
-    *,
-    refitted: int = REFITTED,
-    progress: Callable[[str], None] = lambda _: None,
+    bench: Bench, step: Step, *, refitted: int = REFITTED, progress: Callable[[str], None] = lambda _: None
 ) -> list[Ranked]:
     """All candidates beside `step`: scored, and the best `refitted` of them refitted on whole runs."""
     progress("scoring candidates")
-    scores, starts, misfit = scored_at(bench, step)
-    alike = confusable(scores)
-    dof = max(sum(np.asarray(bench.study.batch.weight)[bench.train].reshape(-1) > 0), 1)
-    chi2 = misfit * dof
-    shortlist = [s.effect for s in scores if s.p_value < ALPHA][:refitted]
-    ranked = []
-    for s in scores:
-        fitted = None
-        if s.effect in shortlist:
-            progress(f"refitting with {s.effect}")
-            fitted = refit(bench, [*step.effects, s.effect], starts[s.effect])
-        predicted = max(misfit - s.reduction / dof, 0.0) if chi2 else None
-        ranked.append(Ranked(s.effect, s, predicted, fitted, tuple(alike[s.effect])))
+    found = prospects(bench, step, progress)
+    return _refitted(bench, step, found, refitted, progress)
+
+
+def _refitted(bench, step, found, refitted, progress) -> list[Ranked]:
+    alike = confusable([p.score for p in found])
+    sure = [p for p in found if p.score.p_value < ALPHA]
+    best = min((p.misfit for p in sure), default=np.inf)
+    # One that stays far behind the best on the windows is not worth the time of a refit.
+    shortlist = [p for p in sure if p.misfit - 1 < 3 * max(best - 1, 0.02)][:refitted]
+    progress(f"refitting {len(shortlist)} candidates on whole runs")
+
+    def again(prospect: Prospect) -> Optimum:
+        return refit(bench, [*step.effects, prospect.score.effect], prospect.values)
+
+    with ThreadPoolExecutor(WORKERS) as pool:
+        refits = dict(zip([p.score.effect for p in shortlist], pool.map(again, shortlist), strict=True))
+    ranked = [
+        Ranked(p.score.effect, p.score, p.misfit, refits.get(p.score.effect), tuple(alike[p.score.effect]), p)
+        for p in found
+    ]
     return sorted(ranked, key=_order)
 
 

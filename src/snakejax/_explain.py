@@ -7,7 +7,19 @@ import equinox as eqx
 import numpy as np
 from scipy import stats
 
-from ._diagnose import LATERAL_SKID, Bench, Ranked, Step, base_fit, rank, refit, structures
+from ._diagnose import (
+    HOPELESS,
+    LATERAL_SKID,
+    NEARLY,
+    Bench,
+    Ranked,
+    Step,
+    accomplices,
+    base_fit,
+    rank,
+    refit,
+    structures,
+)
 from ._effect import Effect
 from ._fit import Estimate, RunScore, Score, estimated, judged, pooled, run_scores, spread
 from ._recording import Case, Noise
@@ -18,7 +30,7 @@ MOST_EFFECTS = 4
 NOISE_SIGMAS = 4.0
 """Only noise is left where the misfit lies within this many standard deviations of that of noise alone."""
 TELLING = 0.05
-"""An effect that lowers the excess of the misfit over noise by less than this share, without reaching noise, is no help."""
+"""An effect that lowers the excess of the misfit over noise by less than this share, short of noise, is no help."""
 
 
 class Stage(NamedTuple):
@@ -94,8 +106,10 @@ def _carried(bench: Bench, step: Step, heldout: Optimum) -> float:
     found = bench.study.evaluate(at, bench.study.numbered("heldout"))
     columns = [free.index(name) for name in step.optimum.loose]
     J = found.jacobian[bench.study.numbered("heldout")][..., columns].reshape(-1, len(columns))
-    return float(np.trace(J @ step.optimum.covariance @ J.T)) if len(columns) < 1 else float(
-        np.einsum("ni,ij,nj->", J, step.optimum.covariance * spread(step.optimum) ** 2, J)
+    return (
+        float(np.trace(J @ step.optimum.covariance @ J.T))
+        if len(columns) < 1
+        else float(np.einsum("ni,ij,nj->", J, step.optimum.covariance * spread(step.optimum) ** 2, J))
     )
 
 
@@ -145,6 +159,8 @@ def better(bench: Bench, now: Step, then: Step) -> bool:
         excess = now.optimum.misfit - 1.0
         if now.optimum.misfit - then.optimum.misfit < TELLING * excess:
             return False
+    if then.optimum.misfit > HOPELESS:
+        return True
     return left_out_misfit(bench, then, bench.train) < left_out_misfit(bench, now, bench.train)
 
 
@@ -174,7 +190,7 @@ def explain(
         progress(f"refitting with {LATERAL_SKID}")
         switched = Bench.of(options[1][1], case, noise, library, switched=True)
         other = Step(step.effects, base_fit(switched, with_, progress))
-        ranking = _placed(ranking, Ranked(LATERAL_SKID, None, None, other.optimum, ()))
+        ranking = _placed(ranking, Ranked(LATERAL_SKID, None, None, other.optimum, (), None))
     stages = [stage(bench, "base", "", step, ranking)]
     show(stages[-1])
     if switched is not None:
@@ -203,11 +219,14 @@ def explain(
 def _follow(bench, step, ranking, before, progress, show) -> list[Stage]:
     """Add what helps most, one effect after the other, then try to do without each."""
     stages = list(before)
+    if step.optimum.misfit > NEARLY and not _ends_in_noise(ranking):
+        for name, then, ranks in _together(bench, step, ranking, progress):
+            step, ranking = then, ranks
+            stages.append(stage(bench, "added", name, step, ranking))
+            show(stages[-1])
     while len(step.effects) < MOST_EFFECTS and not (only_noise(step.optimum) and not _significant(ranking)):
         found = None
-        for candidate in ranking:
-            if candidate.refit is None:
-                continue
+        for candidate in promising(ranking):
             then = Step((*step.effects, candidate.effect), candidate.refit)
             progress(f"does {candidate.effect} predict runs it has not seen?")
             if better(bench, step, then):
@@ -232,9 +251,47 @@ def _follow(bench, step, ranking, before, progress, show) -> list[Stage]:
     return stages
 
 
+def _together(bench, step, ranking, progress) -> list[tuple[str, Step, tuple[Ranked, ...]]]:
+    """The steps to the set of effects that explains the windows together and whole runs best, or none.
+
+    Far from the recordings whole runs cannot say which of two missing effects comes first; short windows can say which
+    pair leaves least.
+    """
+    first = [r.prospect for r in sorted(ranking, key=lambda r: r.predicted_misfit or np.inf) if r.prospect is not None]
+    sets = accomplices(bench, step, first, len(step.effects) + 3, progress)
+    best_on_windows = sets[0].misfit if sets else np.inf
+    tried = [s for s in sets if s.misfit - 1 < 2 * max(best_on_windows - 1, 0.02)][:3]
+    progress(f"refitting {len(tried)} sets of effects on whole runs")
+    refits = [Step(s.effects, refit(bench, s.effects, s.values)) for s in tried]
+    refits = [r for r in refits if r.optimum.misfit < step.optimum.misfit]
+    if not refits:
+        return []
+    best = min(refits, key=lambda r: r.optimum.misfit)
+    if not better(bench, step, best):
+        return []
+    path = []
+    for count in range(len(step.effects) + 1, len(best.effects)):
+        part = best.effects[:count]
+        path.append((part[-1], Step(part, refit(bench, part, best.optimum.values)), ()))
+    path.append((best.effects[-1], best, tuple(rank(bench, best, progress=progress))))
+    return path
+
+
+def promising(ranking: Sequence[Ranked]) -> list[Ranked]:
+    """The refitted candidates in the order to try them: by refit where one comes near, else by the windows.
+
+    Two refits that are both far from the recordings say little about which effect is missing.
+    """
+    refitted = [r for r in ranking if r.refit is not None and r.effect != LATERAL_SKID]
+    if any(r.refit is not None and r.refit.misfit < HOPELESS for r in refitted):
+        return refitted
+    return sorted(refitted, key=lambda r: np.inf if r.predicted_misfit is None else r.predicted_misfit)
+
+
 def better_structure(now: Step, then: Step) -> bool:
     """Whether a change of structure, which frees nothing, lowers the misfit by more than chance."""
-    return then.optimum.samples * (now.optimum.misfit - then.optimum.misfit) > stats.chi2.isf(ALPHA / 25, 1)
+    fall = then.optimum.samples * (now.optimum.misfit - then.optimum.misfit)
+    return bool(fall > stats.chi2.isf(ALPHA / 25, 1))
 
 
 def _significant(ranking: Sequence[Ranked]) -> bool:
@@ -247,8 +304,8 @@ def _ends_in_noise(ranking: Sequence[Ranked]) -> bool:
 
 def _placed(ranking: Sequence[Ranked], new: Ranked) -> tuple[Ranked, ...]:
     """`ranking` with `new`, which has a refit, in its place."""
-    refitted = [r for r in (*ranking, new) if r.refit is not None]
-    return (*sorted(refitted, key=lambda r: r.refit_misfit), *(r for r in ranking if r.refit is None))
+    refitted = [(r.refit.misfit, r) for r in (*ranking, new) if r.refit is not None]
+    return (*(r for _, r in sorted(refitted, key=lambda pair: pair[0])), *(r for r in ranking if r.refit is None))
 
 
 def _concluded(case: Case, noise: Noise, stages: list[Stage], base: Bench) -> Explanation:

@@ -325,9 +325,7 @@ def combined(study: Study, optimum: Optimum, estimates: Mapping[str, Estimate]) 
                     for weight, name, d in zip(vector, open_, domains, strict=True)
                 ]
                 points = [d.step_to(optimum.values[name]) for name, d in zip(open_, domains, strict=True)]
-                found[" ".join(terms)] = Estimate(
-                    float(vector @ points), float(np.sqrt(variance)) * factor, "-", True
-                )
+                found[" ".join(terms)] = Estimate(float(vector @ points), float(np.sqrt(variance)) * factor, "-", True)
     return found
 
 
@@ -347,7 +345,8 @@ def advice(optimum: Optimum, estimates: Mapping[str, Estimate], combinations: Ma
         said.append("The fit did not converge: its last steps still changed the result.")
     if optimum.misfit > 1.1:
         said.append(
-            f"The misfit is {optimum.misfit:.3g} times noise: the model lacks something. `snakejax explain` looks for it."
+            f"The misfit is {optimum.misfit:.3g} times noise: the model lacks something. "
+            "`snakejax compare` shows where it fails."
         )
     return said
 

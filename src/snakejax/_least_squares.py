@@ -16,7 +16,6 @@ from ._model import Model
 from ._simulate import Accuracy, simulate
 from ._units import Domain, Scalar, parameters, with_parameters
 
-
 REACH = 3.0
 MOST_STEPS = 60
 
@@ -32,7 +31,7 @@ def _on_residuals(change: Any) -> Scalar:
 class _LevenbergMarquardt(optx.AbstractGaussNewton):
     """optimistix's damped Newton descent, with a trust region that widens on a fair step, not on a perfect one alone.
 
-    These residuals bend: with optimistix's own cutoff of 0.99 the damping stays large and a fit takes 3 times the steps.
+    These residuals bend: with optimistix's own cutoff of 0.99 the damping stays large and a fit takes thrice the steps.
     """
 
     rtol: float
@@ -41,7 +40,7 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
     norm: Callable = _on_residuals
     descent: optx.AbstractDescent = optx.DampedNewtonDescent(linear_solver=lx.QR())
     search: optx.AbstractSearch = optx.ClassicalTrustRegion(high_cutoff=0.5, high_constant=8.0)
-    verbose: Callable = lambda **_: None  # noqa: E731
+    verbose: Callable = lambda **_: None
 
     def terminate(self, fn, y, args, options, state, tags):
         done, result = super().terminate(fn, y, args, options, state, tags)
@@ -152,7 +151,7 @@ def linearise(model, at: Unknowns, batch: Batch, order, count, steps, start_step
 
 
 def _robust(r, J, threshold):
-    """Residuals whose square is twice Huber's loss: quadratic below `threshold`, linear above; inf leaves them alone."""
+    """Residuals whose square is twice Huber's loss: quadratic below `threshold`, linear above."""
     size = jnp.abs(r)
     far = size > threshold
     t = jnp.where(far, threshold, 1.0)
@@ -212,9 +211,9 @@ def solve(
     """Levenberg-Marquardt from `at` over the runs numbered `runs`.
 
     Steps are counted in units of `scale` (K,) and `start_scale` (R, S), so that a step of one changes the residuals by
-    about one standard deviation of the noise; it ends when the residuals, as one vector, change by less than `tolerance`. An
-    infinite tolerance evaluates at `at` and moves nothing. `prior` (mean, 1 / spread) of the steps, each (K,), if any. `most`
-    bounds the number of steps.
+    about one standard deviation of the noise; it ends when the residuals, as one vector, change by less than
+    `tolerance`. An infinite tolerance evaluates at `at` and moves nothing. `prior` (mean, 1 / spread) of the steps, each
+    (K,), if any. `most` bounds the number of steps.
     """
     R, S = batch.start.shape
     order = np.zeros(R, np.int64)
@@ -236,7 +235,9 @@ def solve(
         jnp.asarray(most),
         accuracy,
     )
-    return Solved(ended, Linearised(*(np.asarray(part) for part in linearised)), int(steps), bool(converged) and int(steps) < most)
+    return Solved(
+        ended, Linearised(*(np.asarray(part) for part in linearised)), int(steps), bool(converged) and int(steps) < most
+    )
 
 
 def evaluate(model: Model, at: Unknowns, batch: Batch, runs: list[int], accuracy: Accuracy) -> Linearised:

@@ -47,7 +47,9 @@ class Scored(NamedTuple):
     signature: np.ndarray
 
 
-def reduced(found: Linearised, free_start: np.ndarray, runs: Sequence[int], times: np.ndarray, length: float) -> Reduced:
+def reduced(
+    found: Linearised, free_start: np.ndarray, runs: Sequence[int], times: np.ndarray, length: float
+) -> Reduced:
     """Project the starts of `runs` out of residuals and Jacobian; blocks are `length` [s] long."""
     width = found.jacobian.shape[-1] - free_start.shape[1]
     rows, columns, blocks, count = [], [], [], 0
@@ -66,14 +68,18 @@ def reduced(found: Linearised, free_start: np.ndarray, runs: Sequence[int], time
 
 
 def score(
-    model: Model, names: Sequence[str], rest: Reduced, fitted: Sequence[str], candidates: Mapping[str, Sequence[str]],
+    model: Model,
+    names: Sequence[str],
+    rest: Reduced,
+    fitted: Sequence[str],
+    candidates: Mapping[str, Sequence[str]],
     values: Mapping[str, float],
 ) -> list[Scored]:
     """Score `candidates` (parameter names of each) beside the `fitted` parameters, best first.
 
     With r the residual, A the columns of the fitted parameters, E those of a candidate, both with the starts projected
-    out, and E_ = E - A A^+ E: the expected change is -E_^+ r, the predicted fall of chi^2 |E_ E_^+ r|^2. Its statistic is
-    divided by the variance left after it, where that is above one, and by the variance inflation of the scores summed
+    out, and E_ = E - A A^+ E: the expected change is -E_^+ r, the predicted fall of chi^2 |E_ E_^+ r|^2. Its statistic
+    is divided by the variance left after it, where that is above one, and by the variance inflation of the scores summed
     block by block, so that neither another missing effect nor correlated errors make it look surer than it is. A
     parameter that the domain bounds at its present value is tested one-sidedly.
     """
@@ -125,7 +131,14 @@ def _one(effect, parts, E, r, chi2, dof, usable, model, values, block) -> Scored
     clean = np.sqrt(np.diag(covariance))
     detectable = {n: float(needed * s) if ok else np.inf for n, s, ok in zip(parts, clean, usable, strict=True)}
     return Scored(
-        effect, ends, spread, fall, float(statistic), float(p_value), detectable, signature / (size if size > 0 else 1.0)
+        effect,
+        ends,
+        spread,
+        fall,
+        float(statistic),
+        float(p_value),
+        detectable,
+        signature / (size if size > 0 else 1.0),
     )
 
 

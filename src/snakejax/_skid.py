@@ -313,7 +313,9 @@ class Printed(AbstractSkid):
         X, Y, N = loads.wrench
         cosine, sine = jnp.cos(twist.theta), jnp.sin(twist.theta)
         yaw = N - board.rotor_inertia * loads.rotor
-        applied = jnp.array([X * cosine - Y * sine, X * sine + Y * cosine, yaw, yaw]) - jnp.sum(jnp.array(drags), axis=0)
+        applied = jnp.array([X * cosine - Y * sine, X * sine + Y * cosine, yaw, yaw]) - jnp.sum(
+            jnp.array(drags), axis=0
+        )
         saddle = jnp.block([[M, -A.T], [A, jnp.zeros((2, 2))]])
         right = jnp.concatenate([applied - A.T @ jnp.array(loads.traction), -jnp.array(turning)])
         accelerations = jnp.linalg.solve(saddle, right)

@@ -72,8 +72,8 @@ def param(
     """A scalar field of an `equinox.Module` with a unit and a physical domain.
 
     **Arguments:** `unit`: SI, "-" for a pure number. `low`, `high`: closed bounds. `positive`: strictly above
-    zero, and so multiplicative. `multiplicative`: a fit moves its logarithm. `typical`: see `Domain`. `default`: for an effect, the
-    neutral value.
+    zero, and so multiplicative. `multiplicative`: a fit moves its logarithm. `typical`: see `Domain`. `default`: for an
+    effect, the neutral value.
     """
     domain = Domain(unit, low, high, positive, positive or multiplicative, typical)
     kwargs = {} if default is dataclasses.MISSING else {"default": default}

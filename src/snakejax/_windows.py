@@ -15,11 +15,14 @@ import numpy as np
 from ._least_squares import Linearised, Unknowns, domains_of, linearise
 from ._model import Model
 from ._recording import Noise, Run
+from ._simulate import Accuracy
 from ._skid import Coupled
-from ._study import Study, inverse
+from ._study import DEPENDENT, Study, inverse
 
 _linearise = eqx.filter_jit(linearise)
 
+ACCURACY = Accuracy(rtol=1e-4, atol=1e-6, max_steps=3000, derivative="forward")
+"""Errors of a window stay below a thirtieth of the noise; one so stiff that it needs more steps is given up."""
 SMOOTHING = 0.12
 """Half width [s] of the cubic through the samples that gives the velocities at the start of a window."""
 
@@ -71,7 +74,8 @@ def states(model: Model, run: Run) -> np.ndarray:
         return np.stack([pose[:, 0], pose[:, 1], heading, u, w, rate[:, 2]], axis=1)
     gait = model.commanded(run.gait)
     phi = np.asarray(jax.vmap(lambda s: gait.phi.at(s).angle)(jnp.asarray(t)))
-    back = -phi if gait.phi_back is None else np.asarray(jax.vmap(lambda s: gait.phi_back.at(s).angle)(jnp.asarray(t)))
+    behind = gait.phi_back
+    back = -phi if behind is None else np.asarray(jax.vmap(lambda s: behind.at(s).angle)(jnp.asarray(t)))
     D = (np.tan(phi) - np.tan(back)) / (2 * float(model.board.half_length))
     theta = np.empty_like(heading)
     theta[0] = heading[0]
@@ -128,7 +132,7 @@ class Windows(eqx.Module):
                 resting = k == 0 and not run.moving
                 starts.append(np.where([1, 1, 1, 0, 0, 0], guess[at], 0.0) if resting else guess[at])
                 free.append([1, 1, 1, 0, 0, 0] if resting else [1] * 6)
-        study = Study.of(model, pieces, noise, names, len(names))
+        study = Study.of(model, pieces, noise, names, len(names), ACCURACY)
         study = eqx.tree_at(
             lambda s: (s.batch.start, s.batch.free_start),
             study,
@@ -143,16 +147,22 @@ class Windows(eqx.Module):
     def settle(
         self, values: Mapping[str, float], free: Sequence[str], start: np.ndarray | None = None, rounds: int = 12
     ) -> "Settled":
-        """Gauss-Newton on the windows: `free` parameters of all, start state of each, eliminated window by window."""
+        """Gauss-Newton on the windows: `free` parameters of all, start state of each, eliminated window by window.
+
+        The tyre is drawn towards what is typical, weakly, in proportion to how far off the model is.
+        """
         study = self.study
-        names, columns = list(study.names), [study.names.index(name) for name in free]
+        columns = [study.names.index(name) for name in free]
         domains = domains_of(study.model, free)
         now = dict(values)
         place = np.asarray(study.batch.start) if start is None else start
         found = self.at(now, place)
-        cost, damping = _cost(found), 1e-4
-        for _ in range(rounds):
-            step, moves = _newton(found, columns, study.width, np.asarray(study.batch.free_start), damping)
+        cost, damping = self._total(found, now, free), 1e-4
+        for _ in range(rounds if np.isfinite(cost) else 0):
+            pull, strength = study.typical(now, free)
+            weight = DEPENDENT * max(1.0, cost / max(found.residual.size, 1))
+            prior = (pull[: len(free)], weight * strength[: len(free)] ** 2)
+            step, moves = _newton(found, columns, study.width, np.asarray(study.batch.free_start), damping, prior)
             trial = dict(now)
             for name, domain, move in zip(free, domains, step, strict=True):
                 move = float(np.clip(move, -1.0, 1.0)) if domain.multiplicative else float(move)
@@ -160,7 +170,7 @@ class Windows(eqx.Module):
                 trial[name] = float(np.clip(shifted, domain.low, domain.high))
             there = place + moves
             tried = self.at(trial, there)
-            better = _cost(tried)
+            better = self._total(tried, trial, free)
             if not better < cost * (1 + 1e-9):
                 damping *= 10
                 if damping > 1e2:
@@ -170,7 +180,13 @@ class Windows(eqx.Module):
             now, place, found, damping = trial, there, tried, max(damping / 10, 1e-9)
             if gain < 0.1:
                 break
-        return Settled(now, place, found, cost)
+        return Settled(now, place, found, _cost(found))
+
+    def _total(self, found: Linearised, values: Mapping[str, float], free: Sequence[str]) -> float:
+        """Cost of the residuals and of the distance from what is typical, as `Study.plausibility` weighs them."""
+        pull, strength = self.study.typical(values, free)
+        far = float(((pull * strength) ** 2).sum())
+        return _cost(found) * (1.0 + DEPENDENT * far / max(found.residual.size, 1))
 
 
 def _cost(found: Linearised) -> float:
@@ -178,8 +194,8 @@ def _cost(found: Linearised) -> float:
     return cost if np.isfinite(cost) else np.inf
 
 
-def _newton(found: Linearised, columns: list[int], width: int, free_start: np.ndarray, damping: float):
-    """Steps (K,) of the parameters in `columns` and (W, S) of the start states."""
+def _newton(found: Linearised, columns: list[int], width: int, free_start: np.ndarray, damping: float, prior):
+    """Steps (K,) of the parameters in `columns` and (W, S) of the start states; `prior` is (mean, 1 / variance)."""
     parts = []
     count = len(columns)
     normal, right = np.zeros((count, count)), np.zeros(count)
@@ -196,8 +212,10 @@ def _newton(found: Linearised, columns: list[int], width: int, free_start: np.nd
         normal += G_.T @ G_
         right -= G_.T @ (r - q @ (q.T @ r))
         parts.append((q, t, r, G, open_))
+    pull, precision = prior
     size = np.diag(normal)
-    step = inverse(normal + damping * np.diag(size)) @ right if count else np.zeros(0)
+    braked = normal + np.diag(damping * size + precision)
+    step = inverse(braked) @ (right + precision * pull) if count and np.isfinite(braked).all() else np.zeros(count)
     moves = np.zeros_like(free_start)
     for k, (q, t, r, G, open_) in enumerate(parts):
         moves[k, open_] = np.linalg.lstsq(t, -(q.T @ (r + G @ step)), rcond=1e-12)[0]

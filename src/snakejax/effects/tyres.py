@@ -89,7 +89,11 @@ class TyreOffset(Floor):
 
 
 class TyreRelaxation(Memory):
-    """The slip angle reaches the tyre with a lag: dm/dt = (|a_i| + 0.02 m/s) / sigma (delta - m); sigma = 0: no lag."""
+    """The slip angle reaches the tyre with a lag: dm/dt = (|a_i| + 0.02 m/s) / sigma (delta - m); sigma = 0: no lag.
+
+    A sigma between 0 and 1 mm acts as 1 mm: so short a lag cannot be told from none, and
+    would only stiffen the equations.
+    """
 
     sentence = "The tyre builds up its force only after rolling some distance (relaxation length)."
     probe: ClassVar[dict[str, float]] = {"sigma": 0.02}
@@ -97,7 +101,7 @@ class TyreRelaxation(Memory):
 
     def rate(self, memory: Scalar, slip: Scalar, wheel: Wheel) -> Scalar:
         lagging = self.sigma > 0
-        length = jnp.where(lagging, self.sigma, 1.0)
+        length = jnp.where(lagging, jnp.maximum(self.sigma, 1e-3), 1.0)
         return jnp.where(lagging, (jnp.abs(wheel.rolling) + 0.02) / length * (slip - memory), 0.0)
 
     def slip(self, memory: Scalar, slip: Scalar) -> Scalar:
