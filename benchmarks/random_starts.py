@@ -3,8 +3,8 @@
     python benchmarks/random_starts.py [NUMBER]
 
 B, C and D start within a factor 3 of the optimum (C below 2, the end of its domain), E within 1 of it. A start counts
-as one that arrived if each parameter ends within a tenth of its standard error of where the usual start ends. Ctrl-C ends
-the table early.
+as one that arrived if each parameter ends within a tenth of its standard error of where the usual start ends. Ctrl-C
+ends the table early.
 """
 
 import contextlib
