@@ -230,8 +230,8 @@ def solve(
         jnp.asarray(scale),
         jnp.asarray(start_scale),
         (jnp.asarray(prior[0]), jnp.asarray(prior[1])),
-        jnp.asarray(tolerance),
-        jnp.asarray(threshold),
+        jnp.asarray(tolerance, jnp.float64),
+        jnp.asarray(threshold, jnp.float64),
         jnp.asarray(most),
         accuracy,
     )

@@ -14,8 +14,8 @@ from ._recording import Noise, Run
 from ._simulate import Accuracy
 from ._units import parameters, with_parameters
 
-FIT_ACCURACY = Accuracy(rtol=1e-5, atol=1e-7, max_steps=32768, derivative="forward")
-"""Accuracy of a fit: its errors stay near a hundredth of the noise of motion capture."""
+FIT_ACCURACY = Accuracy(rtol=1e-6, atol=1e-8, max_steps=32768, derivative="forward")
+"""Accuracy of a fit. Its errors are a thousandth of the noise: larger ones are rough enough to stop a fit too soon."""
 
 DEPENDENT = 100.0
 """How many neighbouring samples share one error of a wrong model."""
