@@ -194,10 +194,6 @@ def random_start(seed: int) -> dict[str, float]:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    reason="a fit may stop on a step that is small only because it is damped, up to 50 above the least chi^2; taken up "
-    "again it goes on. And a start too stiff for a whole run is refused, although its first seconds could be fitted."
-)
 def test_random_starts_reach_the_same_optimum(level):
     for seed in range(6):
         found = fit_study(level.study, TYRE, random_start(seed))

@@ -233,10 +233,13 @@ def _cost(study: Study, values: Mapping[str, float], runs: Sequence[int], until:
 
 def require_sensitive(study: Study, values: Mapping[str, float], free: Sequence[str], runs: Sequence[int]) -> None:
     """**Raises:** `FitError` where the simulation fails at the start, or a free parameter moves nothing."""
-    found = study.evaluate(study.at(values, free), runs)
+    found = study.evaluate(study.at(values, free), runs, HORIZONS[0])
     for k in runs:
         if not np.isfinite(found.residual[k]).all():
-            raise FitError(f"The simulation of run `{study.runs[k].name}` fails at the start values: check the board.")
+            raise FitError(
+                f"The simulation of run `{study.runs[k].name}` fails in its first {HORIZONS[0]:g} s at the start values: "
+                "check the board and the start."
+            )
     sizes = np.sqrt((found.jacobian[list(runs)][..., : len(free)] ** 2).sum(axis=(0, 1, 2)))
     for name, size in zip(free, sizes, strict=True):
         if not size > 1e-9:

@@ -212,8 +212,8 @@ def solve(
 
     Steps are counted in units of `scale` (K,) and `start_scale` (R, S), so that a step of one changes the residuals by
     about one standard deviation of the noise; it ends when the residuals, as one vector, change by less than
-    `tolerance`. An infinite tolerance evaluates at `at` and moves nothing. `prior` (mean, 1 / spread) of the steps, each
-    (K,), if any. `most` bounds the number of steps.
+    `tolerance`. An infinite tolerance evaluates at `at` and moves nothing. `prior` (mean, 1 / spread) of the steps,
+    each (K,), if any. `most` bounds the number of steps.
     """
     R, S = batch.start.shape
     order = np.zeros(R, np.int64)

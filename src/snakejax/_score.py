@@ -79,8 +79,8 @@ def score(
 
     With r the residual, A the columns of the fitted parameters, E those of a candidate, both with the starts projected
     out, and E_ = E - A A^+ E: the expected change is -E_^+ r, the predicted fall of chi^2 |E_ E_^+ r|^2. Its statistic
-    is divided by the variance left after it, where that is above one, and by the variance inflation of the scores summed
-    block by block, so that neither another missing effect nor correlated errors make it look surer than it is. A
+    is divided by the variance left after it, where that is above one, and by the variance inflation of the scores
+    summed block by block, so that neither another missing effect nor correlated errors make it look surer than it is. A
     parameter that the domain bounds at its present value is tested one-sidedly.
     """
     columns = {name: rest.columns[:, k] for k, name in enumerate(names)}

@@ -131,10 +131,11 @@ class Study(eqx.Module):
         held: list[str] = []
         steps, converged = 0, False
         found = evaluate(self.model, at, span, runs, self.accuracy)
-        for _ in range(4):
+        unit = _CAREFUL if weak_prior else _BOLD
+        for _ in range(6):
             at = eqx.tree_at(lambda u: u.directions, at, self.at(values, _only(free, held)).directions)
             rough = self._enough(found, runs, tolerance)
-            scale, start_scale = self._scales(at, found, runs, _CAREFUL if weak_prior else _BOLD)
+            scale, start_scale = self._scales(at, found, runs, unit)
             solved = solve(
                 self.model,
                 at,
@@ -155,8 +156,11 @@ class Study(eqx.Module):
                 found = evaluate(self.model, at, span, runs, self.accuracy)
             snapped = self._pressing(at, found, free, runs)
             fine = rough <= 4 * self._enough(found, runs, tolerance)
-            if solved.steps >= most or (fine and set(snapped) == set(held)):
+            # A step may be small only because it was damped; an undamped one tells.
+            there = weak_prior or self._promise(at, found, free, held, runs) < max(1.0, rough) * tolerance
+            if solved.steps >= most or (fine and there and set(snapped) == set(held)):
                 break
+            unit = unit * 10
             at = eqx.tree_at(lambda u: u.values, at, jnp.asarray([snapped.get(n, v) for n, v in self._named(at)]))
             held = list(snapped)
         return self._optimum(at, found, free, held, runs, span, steps, converged)
@@ -192,6 +196,24 @@ class Study(eqx.Module):
 
     def _named(self, at: Unknowns) -> list[tuple[str, float]]:
         return [(name, float(value)) for name, value in zip(self.names, np.asarray(at.values), strict=True)]
+
+    def _promise(self, at: Unknowns, found: Linearised, free: list[str], held: list[str], runs: list[int]) -> float:
+        """The fall of chi^2 that an undamped Gauss-Newton step promises: the residual's part in the Jacobian's span."""
+        loose = [row for row, name in enumerate(free) if name not in held]
+        open_, gain = np.asarray(at.free_start) > 0, 0.0
+        rest, columns = [], []
+        for k in runs:
+            r, J = found.residual[k].reshape(-1), found.jacobian[k].reshape(-1, found.jacobian.shape[-1])
+            q, _ = np.linalg.qr(J[:, self.width :][:, open_[k]])
+            gain += float(((q.T @ r) ** 2).sum())
+            rest.append(r - q @ (q.T @ r))
+            columns.append(J[:, loose] - q @ (q.T @ J[:, loose]))
+        if not loose:
+            return gain
+        A = np.concatenate(columns)
+        size = np.sqrt((A**2).sum(axis=0))
+        u, s, _ = np.linalg.svd(A / np.where(size > 0, size, 1.0), full_matrices=False)
+        return gain + float(((u[:, s > 1e-7 * s.max()].T @ np.concatenate(rest)) ** 2).sum())
 
     def _enough(self, found: Linearised, runs: list[int], tolerance: float) -> float:
         """The change of the residual vector to stop at; a model that is far off need not be fitted to the noise."""

@@ -34,8 +34,8 @@ def cache_folder() -> Path:
 
 def start_jax() -> None:
     """Double precision, and compiled programs kept on disk; JAX_COMPILATION_CACHE_DIR says where, if it is set."""
-    # Checks that raise are calls back into Python, and a program with such calls is not kept on disk. As NaN they end in
-    # the checks for finite results that every fit makes.
+    # Checks that raise call back into Python, and a program that does is not kept on disk. As NaN they end in the
+    # checks for finite results that every fit makes.
     os.environ.setdefault("EQX_ON_ERROR", "nan")
     import jax
 
