@@ -237,8 +237,8 @@ def require_sensitive(study: Study, values: Mapping[str, float], free: Sequence[
     for k in runs:
         if not np.isfinite(found.residual[k]).all():
             raise FitError(
-                f"The simulation of run `{study.runs[k].name}` fails in its first {HORIZONS[0]:g} s at the start values: "
-                "check the board and the start."
+                f"The simulation of run `{study.runs[k].name}` fails in its first {HORIZONS[0]:g} s "
+                "at the start values: check the board and the start."
             )
     sizes = np.sqrt((found.jacobian[list(runs)][..., : len(free)] ** 2).sum(axis=(0, 1, 2)))
     for name, size in zip(free, sizes, strict=True):
