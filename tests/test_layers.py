@@ -18,7 +18,7 @@ ORDER = [
     "_effect", "_skid", "_model", "_simulate", "_least_squares", "_study",
     "effects", "readers", "_toml", "_case", "_presets", "_check", "_template",
     "_sweep", "_fit", "_replay", "_compare", "_windows", "_score", "_diagnose", "_missing", "_explain", "_tune",
-    "_json", "_text", "report", "plot", "_cli", "__main__", "__init__",
+    "_json", "_text", "_story", "report", "plot", "_cli", "__main__", "__init__",
 ]
 # fmt: on
 CORE = ORDER[: ORDER.index("effects")]

@@ -215,7 +215,9 @@ def _newton(found: Linearised, columns: list[int], width: int, free_start: np.nd
     pull, precision = prior
     size = np.diag(normal)
     braked = normal + np.diag(damping * size + precision)
-    step = inverse(braked) @ (right + precision * pull) if count and np.isfinite(braked).all() else np.zeros(count)
+    solvable = count and np.isfinite(braked).all() and np.isfinite(right).all()
+    step = inverse(braked) @ (right + precision * pull) if solvable else np.zeros(count)
+    step = np.where(np.isfinite(step), step, 0.0)
     moves = np.zeros_like(free_start)
     for k, (q, t, r, G, open_) in enumerate(parts):
         moves[k, open_] = np.linalg.lstsq(t, -(q.T @ (r + G @ step)), rcond=1e-12)[0]

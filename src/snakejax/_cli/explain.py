@@ -1,0 +1,75 @@
+"""`snakejax explain`: the whole loop, from the first misfit to what was missing."""
+
+import argparse
+from typing import Any
+
+from .._errors import InputError, instead_of
+from ._options import SKIDS, add_cases, add_command, effect_spec, given
+from ._setup import Clock, Outcome, Say, each_case
+
+
+def add(commands: Any) -> None:
+    """The command's options."""
+    command = add_command(
+        commands,
+        "explain",
+        run,
+        "find out which physical effect is missing",
+        "Fit, see what is left, add the effect that explains it, and fit again, until\n"
+        "only noise is left or nothing known helps.",
+        "snakejax explain data/tilted-floor --json -",
+    )
+    add_cases(command)
+    command.add_argument("--model", choices=("pacejka", "rayleigh"), default="pacejka", help="tyre law to start from")
+    command.add_argument("--skid", choices=SKIDS[:2], help="skid structure to start from (default that of CASE)")
+    command.add_argument("--effect", metavar="FILE.py:Class", action="append", help="one more candidate of your own")
+    command.add_argument("--with", dest="with_", metavar="NAME", action="append", help="an effect to start with")
+    command.add_argument("--without", metavar="NAME", action="append", help="an effect that is no candidate")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Explain each CASE."""
+    return each_case(options, lambda case, say: work(options, case, say))
+
+
+def library(options: argparse.Namespace) -> dict[str, Any]:
+    """The candidates: those built in less `--without`, and those of `--effect`. **Raises:** `InputError`."""
+    from .._diagnose import LATERAL_SKID
+    from ..effects import LIBRARY
+    from ._models import effect_class
+
+    found = {name: kind() for name, kind in LIBRARY.items()}
+    for text in options.effect or ():
+        spec = effect_spec(text)
+        found[spec.name] = effect_class(spec)()
+    for option in ("with_", "without"):
+        for name in getattr(options, option) or ():
+            if name not in found and name != LATERAL_SKID:
+                where = f"option --{option.rstrip('_')}"
+                raise InputError(f"There is no effect `{name}`", where, instead_of(name, [*found, LATERAL_SKID]))
+    return {name: effect for name, effect in found.items() if name not in (options.without or ())}
+
+
+def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
+    """Explain one case."""
+    from .._check import estimate_noise
+    from .._diagnose import LATERAL_SKID
+    from .._explain import explain
+    from .._json import provenance_json
+    from .._story import explanation_json, explanation_text
+
+    clock = Clock()
+    noise = case.noise or estimate_noise(case.runs)
+    with_ = options.with_ or []
+    found = explain(
+        case,
+        noise,
+        library(options),
+        kind=options.model,
+        skid="free" if LATERAL_SKID in with_ else options.skid,
+        with_=[name for name in with_ if name != LATERAL_SKID],
+        switch=LATERAL_SKID not in (options.without or ()),
+        progress=say,
+    )
+    provenance = provenance_json(options.seed, given(options), case.sha256)
+    return Outcome(explanation_json(found, provenance, clock.seconds()), explanation_text(found))
