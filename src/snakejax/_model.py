@@ -88,7 +88,8 @@ class Model(eqx.Module):
 
     def start_moving(self, start: tuple[Scalar, ...], t: Scalar, gait: Gait) -> State:
         """The state of this board under way at time `t`; `start` as in `AbstractSkid.under_way`."""
-        body = self.skid.under_way(start)
+        board, _, _, steered = self._steered(t, gait)
+        body = self.skid.under_way(start, board, steered)
         motion = self.motion(t, body, gait)
         slips = tuple(slip_angle(wheel.lateral, wheel.rolling, self.board.creep_speed) for wheel in motion.wheels)
         return body, tuple(slips for _ in self.plugged(Memory))
@@ -98,6 +99,16 @@ class Model(eqx.Module):
         return self._motion(t, body, gait)[0]
 
     def _motion(self, t: Scalar, body: tuple[Scalar, ...], gait: Gait) -> tuple[Motion, Steered, Any]:
+        board, front, rotor, steered = self._steered(t, gait)
+        twist = self.skid.twist(body, board, steered)
+        wheels = tuple(
+            Wheel(*parts) for parts in zip(board.wheelsets, *steered, twist.lateral, twist.rolling, strict=True)
+        )
+        place = (twist.x, twist.y, twist.theta, twist.heading, twist.u, twist.w, twist.r)
+        return Motion(t, *place, front, rotor, wheels, board), steered, twist
+
+    def _steered(self, t: Scalar, gait: Gait) -> tuple[Board, Joint, Joint, Steered]:
+        """The board as laid out, the steering and rotor joints, and the wheel angles."""
         board, gait = self.laid_out(), self.commanded(gait)
         front, rotor = gait.phi.at(t), gait.psi.at(t)
         back = None if gait.phi_back is None else gait.phi_back.at(t)
@@ -110,13 +121,7 @@ class Model(eqx.Module):
             for effect in self.plugged(Linkage):
                 joint = effect.steer(joint, wheelset)
             joints.append(joint)
-        steered = Steered.of(tuple(joints))
-        twist = self.skid.twist(body, board, steered)
-        wheels = tuple(
-            Wheel(*parts) for parts in zip(board.wheelsets, *steered, twist.lateral, twist.rolling, strict=True)
-        )
-        place = (twist.x, twist.y, twist.theta, twist.heading, twist.u, twist.w, twist.r)
-        return Motion(t, *place, front, rotor, wheels, board), steered, twist
+        return board, front, rotor, Steered.of(tuple(joints))
 
     def rates(self, t: Scalar, state: State, gait: Gait) -> State:
         """Time derivative of `state` at time `t` [s]."""

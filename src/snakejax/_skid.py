@@ -89,7 +89,7 @@ class AbstractSkid(eqx.Module):
         """The state of a board that stands still."""
 
     @abc.abstractmethod
-    def under_way(self, start: State) -> State:
+    def under_way(self, start: State, board: Board, steered: Steered) -> State:
         """The state from six numbers: (x, y, heading, u, w, r), or beta [rad] in the place of w under `Coupled`."""
 
     @abc.abstractmethod
@@ -130,7 +130,8 @@ class Coupled(AbstractSkid):
         zero = jnp.zeros_like(x)
         return (x, y, heading, zero, zero, zero)
 
-    def under_way(self, start: State) -> State:
+    def under_way(self, start: State, board: Board, steered: Steered) -> State:
+        del board, steered
         x, y, heading, u, beta, s = start
         return (x, y, heading - beta, beta, u, s)
 
@@ -188,7 +189,8 @@ class Free(AbstractSkid):
         zero = jnp.zeros_like(x)
         return (x, y, heading, zero, zero, zero)
 
-    def under_way(self, start: State) -> State:
+    def under_way(self, start: State, board: Board, steered: Steered) -> State:
+        del board, steered
         return start
 
     def pose(self, state: State) -> tuple[Scalar, Scalar, Scalar]:
@@ -236,7 +238,8 @@ class Ideal(AbstractSkid):
     def at_rest(self, x: Scalar, y: Scalar, heading: Scalar) -> State:
         return (x, y, heading, jnp.zeros_like(x))
 
-    def under_way(self, start: State) -> State:
+    def under_way(self, start: State, board: Board, steered: Steered) -> State:
+        del board, steered
         return start[:4]
 
     def pose(self, state: State) -> tuple[Scalar, Scalar, Scalar]:
@@ -278,8 +281,13 @@ class Printed(AbstractSkid):
         zero = jnp.zeros_like(x)
         return (x, y, heading, zero, zero, zero, zero, zero)
 
-    def under_way(self, start: State) -> State:
-        raise ValueError("The printed equations are for a board that starts at rest; give `start` three numbers.")
+    def under_way(self, start: State, board: Board, steered: Steered) -> State:
+        x, y, heading, u, beta, s = start
+        theta = heading - beta
+        W, D, _, _ = NoSlip.of(board, steered)
+        cosine, sine = jnp.cos(theta), jnp.sin(theta)
+        x_rate, y_rate = u * (cosine - W * sine), u * (sine + W * cosine)
+        return (x, y, theta, beta, x_rate, y_rate, (s + D * u) / 2, (s - D * u) / 2)
 
     def pose(self, state: State) -> tuple[Scalar, Scalar, Scalar]:
         return state[0], state[1], state[2] + state[3]
