@@ -17,7 +17,7 @@ from ._model import Model
 from ._recording import Noise, Run
 from ._simulate import Accuracy
 from ._skid import Coupled
-from ._study import DEPENDENT, Study, inverse
+from ._study import DEPENDENT, Study
 
 _linearise = eqx.filter_jit(linearise)
 
@@ -215,13 +215,20 @@ def _newton(found: Linearised, columns: list[int], width: int, free_start: np.nd
     pull, precision = prior
     size = np.diag(normal)
     braked = normal + np.diag(damping * size + precision)
-    solvable = count and np.isfinite(braked).all() and np.isfinite(right).all()
-    step = inverse(braked) @ (right + precision * pull) if solvable else np.zeros(count)
-    step = np.where(np.isfinite(step), step, 0.0)
+    step = _solved(braked, right + precision * pull)
     moves = np.zeros_like(free_start)
     for k, (q, t, r, G, open_) in enumerate(parts):
         moves[k, open_] = np.linalg.lstsq(t, -(q.T @ (r + G @ step)), rcond=1e-12)[0]
     return step, moves
+
+
+def _solved(normal: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """The solution of scaled normal equations; a parameter that moves nothing stays where it is."""
+    if not right.size or not (np.isfinite(normal).all() and np.isfinite(right).all()):
+        return np.zeros_like(right)
+    size = np.sqrt(np.diag(normal))
+    safe = np.where(size > 0, size, 1.0)
+    return np.linalg.lstsq(normal / np.outer(safe, safe), right / safe, rcond=1e-14)[0] / safe
 
 
 class Settled(NamedTuple):
