@@ -28,11 +28,6 @@ class Batch(eqx.Module):
     start: Float[Array, "R S"]
     free_start: Float[Array, "R S"]
 
-    @property
-    def present(self) -> Float[Array, "R n 3"]:
-        """1 for a sample that was seen, 0 for one that was not."""
-        return jnp.where(self.weight > 0, 1.0, 0.0)
-
 
 def batch(runs: Sequence[Run], noise: Noise) -> Batch:
     """Put `runs` side by side, each sample weighted by `noise`.

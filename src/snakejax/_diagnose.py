@@ -279,10 +279,6 @@ def rank(
     """All candidates beside `step`: scored, and the best `refitted` of them refitted on whole runs."""
     progress("scoring candidates")
     found = prospects(bench, step, progress)
-    return _refitted(bench, step, found, refitted, progress)
-
-
-def _refitted(bench, step, found, refitted, progress) -> list[Ranked]:
     alike = confusable([p.score for p in found])
     sure = [p for p in found if p.score.p_value < ALPHA]
     best = min((p.misfit for p in sure), default=np.inf)

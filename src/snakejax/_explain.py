@@ -45,6 +45,8 @@ class Stage(NamedTuple):
     runs: tuple[RunScore, ...]
     estimates: dict[str, Estimate]
     ranking: tuple[Ranked, ...]
+    judgement: Optimum | None
+    """The held-out runs, opened once for this stage."""
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -106,11 +108,7 @@ def _carried(bench: Bench, step: Step, heldout: Optimum) -> float:
     found = bench.study.evaluate(at, bench.study.numbered("heldout"))
     columns = [free.index(name) for name in step.optimum.loose]
     J = found.jacobian[bench.study.numbered("heldout")][..., columns].reshape(-1, len(columns))
-    return (
-        float(np.trace(J @ step.optimum.covariance @ J.T))
-        if len(columns) < 1
-        else float(np.einsum("ni,ij,nj->", J, step.optimum.covariance * spread(step.optimum) ** 2, J))
-    )
+    return float(np.einsum("ni,ij,nj->", J, step.optimum.covariance * spread(step.optimum) ** 2, J))
 
 
 def stage(bench: Bench, change: str, name: str, step: Step, ranking: Sequence[Ranked] = ()) -> Stage:
@@ -128,6 +126,7 @@ def stage(bench: Bench, change: str, name: str, step: Step, ranking: Sequence[Ra
         (*runs, *unseen),
         estimated(bench.study, step.optimum),
         tuple(ranking),
+        heldout,
     )
 
 
@@ -310,8 +309,7 @@ def _placed(ranking: Sequence[Ranked], new: Ranked) -> tuple[Ranked, ...]:
 
 def _concluded(case: Case, noise: Noise, stages: list[Stage], base: Bench) -> Explanation:
     last = stages[-1]
-    heldout = judged(last.bench.study, last.step.optimum.values)
-    clean = only_noise(last.step.optimum) and heldout_noise(last.bench, last.step, heldout)
+    clean = only_noise(last.step.optimum) and heldout_noise(last.bench, last.step, last.judgement)
     if clean:
         verdict, effects, partial = ("explained" if last.effects else "adequate"), last.effects, ()
     else:

@@ -240,6 +240,23 @@ def solve(
     )
 
 
+def starts_removed(
+    found: Linearised, run: int, width: int, free_start: np.ndarray
+) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N K"]]:
+    """Residual and parameter columns of one run, with what its free start components explain projected out."""
+    r = np.asarray(found.residual[run]).reshape(-1)
+    J = np.asarray(found.jacobian[run]).reshape(r.size, -1)
+    q, _ = np.linalg.qr(J[:, width:][:, free_start[run] > 0])
+    return r - q @ (q.T @ r), J[:, :width] - q @ (q.T @ J[:, :width])
+
+
+def basis(columns: Float[np.ndarray, "N K"], smallest: float) -> Float[np.ndarray, "N k"]:
+    """An orthonormal basis of the span of `columns`, scaled alike, less directions below `smallest` of the largest."""
+    size = np.sqrt((columns**2).sum(axis=0))
+    u, s, _ = np.linalg.svd(columns / np.where(size > 0, size, 1.0), full_matrices=False)
+    return u[:, s > smallest * max(s.max(initial=0.0), 1e-300)]
+
+
 def evaluate(model: Model, at: Unknowns, batch: Batch, runs: list[int], accuracy: Accuracy) -> Linearised:
     """Residuals and Jacobian at `at`, by the same compiled program as `solve`."""
     return solve(model, at, batch, runs, tolerance=np.inf, accuracy=accuracy).linearised

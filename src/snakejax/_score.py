@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from ._least_squares import Linearised, domains_of
+from ._least_squares import Linearised, basis, domains_of, starts_removed
 from ._model import Model
 
 ALPHA = 0.01
@@ -54,13 +54,11 @@ def reduced(
     width = found.jacobian.shape[-1] - free_start.shape[1]
     rows, columns, blocks, count = [], [], [], 0
     for k in runs:
-        r, J = found.residual[k].reshape(-1), found.jacobian[k].reshape(-1, found.jacobian.shape[-1])
-        seen = np.abs(J[:, width:]).sum(axis=1) > 0
+        seen = np.abs(found.jacobian[k][..., width:]).sum(axis=-1).reshape(-1) > 0
         block = np.repeat(np.floor((times[k] - times[k][0]) / length).astype(int), 3)[seen]
-        r, J = r[seen], J[seen]
-        q, _ = np.linalg.qr(J[:, width:][:, free_start[k] > 0])
-        rows.append(r - q @ (q.T @ r))
-        columns.append(J[:, :width] - q @ (q.T @ J[:, :width]))
+        r, J = starts_removed(found, k, width, free_start)
+        rows.append(r[seen])
+        columns.append(J[seen])
         blocks.append(count + block)
         count = int(blocks[-1].max()) + 1
     lost = int(free_start[list(runs)].sum())
@@ -84,7 +82,11 @@ def score(
     parameter that the domain bounds at its present value is tested one-sidedly.
     """
     columns = {name: rest.columns[:, k] for k, name in enumerate(names)}
-    A = _basis(np.stack([columns[name] for name in fitted], axis=1)) if fitted else np.zeros((rest.residual.size, 0))
+    A = (
+        basis(np.stack([columns[name] for name in fitted], axis=1), 1e-10)
+        if fitted
+        else np.zeros((rest.residual.size, 0))
+    )
     r = rest.residual - A @ (A.T @ rest.residual)
     chi2, dof = float(r @ r), max(rest.residual.size - rest.lost - len(fitted), 1)
     scored = []
@@ -140,13 +142,6 @@ def _one(effect, parts, E, r, chi2, dof, usable, model, values, block) -> Scored
         detectable,
         signature / (size if size > 0 else 1.0),
     )
-
-
-def _basis(columns: np.ndarray) -> np.ndarray:
-    """An orthonormal basis of the span of `columns`, without directions that are numerically dependent."""
-    size = np.sqrt((columns**2).sum(axis=0))
-    u, s, _ = np.linalg.svd(columns / np.where(size > 0, size, 1.0), full_matrices=False)
-    return u[:, s > 1e-10 * max(s.max(initial=0.0), 1e-300)]
 
 
 def _inflation(E: np.ndarray, after: np.ndarray, block: np.ndarray, variance: float) -> float:

@@ -22,7 +22,6 @@ from ._json import (
 )
 from ._text import add_row, misfit_text, number, plain_table
 from ._units import parameters
-from .effects import LIBRARY
 
 
 def explanation_json(found: Explanation, provenance: Json, seconds: Json | None = None) -> Json:
@@ -117,7 +116,7 @@ def sentence(effect: str, stage: Stage) -> str:
     """What an effect is, in words."""
     if effect == LATERAL_SKID:
         return "Each wheelset skids on its own."
-    return stage.bench.study.model.effects[effect].sentence or (LIBRARY[effect].sentence if effect in LIBRARY else "")
+    return stage.bench.study.model.effects[effect].sentence
 
 
 def explanation_text(found: Explanation) -> RenderableType:

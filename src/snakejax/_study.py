@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ._batch import Batch, batch
-from ._least_squares import Linearised, Unknowns, domains_of, evaluate, solve, unknowns
+from ._least_squares import Linearised, Unknowns, basis, domains_of, evaluate, solve, starts_removed, unknowns
 from ._model import Model
 from ._recording import Noise, Run
 from ._simulate import Accuracy
@@ -167,7 +167,8 @@ class Study(eqx.Module):
 
     def _optimum(self, at, found, free, held, runs, span, steps, converged) -> Optimum:
         loose = [free.index(name) for name in free if name not in held]
-        whitened = projected(found.jacobian, self.width, np.asarray(at.free_start), runs)[:, loose]
+        free_start = np.asarray(at.free_start)
+        whitened = np.concatenate([starts_removed(found, k, self.width, free_start)[1] for k in runs])[:, loose]
         samples = int((np.asarray(span.weight)[runs] > 0).sum())
         values = {name: float(value) for name, value in zip(self.names, np.asarray(at.values), strict=True)}
         residual = np.asarray(found.residual)[runs]
@@ -200,20 +201,12 @@ class Study(eqx.Module):
     def _promise(self, at: Unknowns, found: Linearised, free: list[str], held: list[str], runs: list[int]) -> float:
         """The fall of chi^2 that an undamped Gauss-Newton step promises: the residual's part in the Jacobian's span."""
         loose = [row for row, name in enumerate(free) if name not in held]
-        open_, gain = np.asarray(at.free_start) > 0, 0.0
-        rest, columns = [], []
-        for k in runs:
-            r, J = found.residual[k].reshape(-1), found.jacobian[k].reshape(-1, found.jacobian.shape[-1])
-            q, _ = np.linalg.qr(J[:, self.width :][:, open_[k]])
-            gain += float(((q.T @ r) ** 2).sum())
-            rest.append(r - q @ (q.T @ r))
-            columns.append(J[:, loose] - q @ (q.T @ J[:, loose]))
-        if not loose:
-            return gain
-        A = np.concatenate(columns)
-        size = np.sqrt((A**2).sum(axis=0))
-        u, s, _ = np.linalg.svd(A / np.where(size > 0, size, 1.0), full_matrices=False)
-        return gain + float(((u[:, s > 1e-7 * s.max()].T @ np.concatenate(rest)) ** 2).sum())
+        free_start = np.asarray(at.free_start)
+        parts = [starts_removed(found, k, self.width, free_start) for k in runs]
+        rest = np.concatenate([r for r, _ in parts])
+        gain = float((found.residual[runs] ** 2).sum() - (rest**2).sum())
+        columns = np.concatenate([J[:, loose] for _, J in parts])
+        return gain + float(((basis(columns, 1e-7).T @ rest) ** 2).sum())
 
     def _enough(self, found: Linearised, runs: list[int], tolerance: float) -> float:
         """The change of the residual vector to stop at; a model that is far off need not be fitted to the noise."""
@@ -280,17 +273,6 @@ class Study(eqx.Module):
 def _only(free: Sequence[str], held: Sequence[str]) -> list[str]:
     """`free` with an empty name in the place of each that is `held`, so that rows keep their places."""
     return ["" if name in held else name for name in free]
-
-
-def projected(jacobian: np.ndarray, width: int, free_start: np.ndarray, runs: Sequence[int]) -> np.ndarray:
-    """The parameter columns (N, width) of `runs`, with what the starts of each run can explain projected out."""
-    blocks = []
-    for k in runs:
-        J = jacobian[k].reshape(-1, jacobian.shape[-1])
-        starts = J[:, width:][:, free_start[k] > 0]
-        q, _ = np.linalg.qr(starts)
-        blocks.append(J[:, :width] - q @ (q.T @ J[:, :width]))
-    return np.concatenate(blocks)
 
 
 def inverse(normal: np.ndarray) -> np.ndarray:

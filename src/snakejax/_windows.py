@@ -116,18 +116,15 @@ class Windows(eqx.Module):
     """The train runs of a study as windows, with all movable parameters as directions of one compiled Jacobian."""
 
     study: Study
-    source: tuple[int, ...] = eqx.field(static=True)
-    """The number of the run each window comes from."""
 
     @staticmethod
     def of(model: Model, runs: Sequence[Run], noise: Noise, names: Sequence[str], length: float) -> "Windows":
         """Windows of `length` [s] over `runs`; a run from rest keeps its first window at rest."""
-        pieces, source, starts, free = [], [], [], []
-        for number, run in enumerate(runs):
+        pieces, starts, free = [], [], []
+        for run in runs:
             guess = states(model, run)
             for k, window in enumerate(cut(run, length)):
                 pieces.append(window)
-                source.append(number)
                 at = int(np.searchsorted(np.asarray(run.times), float(window.times[0]) - 1e-9))
                 resting = k == 0 and not run.moving
                 starts.append(np.where([1, 1, 1, 0, 0, 0], guess[at], 0.0) if resting else guess[at])
@@ -138,7 +135,7 @@ class Windows(eqx.Module):
             study,
             (jnp.asarray(np.array(starts)), jnp.asarray(np.array(free, float))),
         )
-        return Windows(study, tuple(source))
+        return Windows(study)
 
     def at(self, values: Mapping[str, float], start: np.ndarray) -> Linearised:
         """Residuals (W, n, 3) and the Jacobian by every name and by the start state."""
