@@ -12,10 +12,11 @@ import sys
 import time
 from pathlib import Path
 
-import jax
 import numpy as np
 
-jax.config.update("jax_enable_x64", True)
+from snakejax import prepare_jax
+
+prepare_jax()
 
 from snakejax._case import load_case  # noqa: E402
 from snakejax._fit import FitError, approach, fit, starting_model  # noqa: E402

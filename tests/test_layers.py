@@ -14,7 +14,7 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / "snakejax"
 # From the bottom up. A package (`effects`, `readers`) is one place in the order; its files may share among themselves.
 # fmt: off
 ORDER = [
-    "_errors", "_units", "_math", "_tyre", "_board", "_gait", "_recording", "_batch",
+    "_prepare", "_errors", "_units", "_math", "_tyre", "_board", "_gait", "_recording", "_batch",
     "_effect", "_skid", "_model", "_simulate", "_least_squares", "_study",
     "effects", "readers", "_toml", "_case", "_presets", "_check", "_template",
     "_sweep", "_fit", "_replay", "_compare", "_windows", "_score", "_diagnose", "_missing", "_explain", "_tune",

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from ._gait import Sines as Sines
     from ._gait import Tracked as Tracked
     from ._model import Model as Model
+    from ._prepare import prepare_jax as prepare_jax
     from ._presets import Preset as Preset
     from ._presets import preset as preset
     from ._recording import Case as Case
@@ -62,6 +63,7 @@ _HOMES = {
     "_fit": "Fit FitError fit profile starting_model",
     "_gait": "Gait Logged Sines Tracked",
     "_model": "Model",
+    "_prepare": "prepare_jax",
     "_presets": "Preset preset",
     "_recording": "Case Noise Run",
     "_simulate": "Accuracy Trajectory motions simulate",

@@ -261,8 +261,8 @@ def refit(bench: Bench, effects: Sequence[str], values: Mapping[str, float]) -> 
     neutral = bench.study.values()
     known = {name: (values[name] if name in free else neutral[name]) for name in bench.study.names}
     known = {name: _off_zero(bench, name, value) if name in free else value for name, value in known.items()}
-    first = bench.study.fit(known, free, train, until=4.0, tolerance=1.0, weak_prior=True, most=6)
-    rough = bench.study.fit(first.values, free, train, first.start, tolerance=1.0, weak_prior=True, most=8)
+    first = bench.study.fit(known, free, train, until=4.0, enough=1.0, weak_prior=True, most=6)
+    rough = bench.study.fit(first.values, free, train, first.start, enough=1.0, weak_prior=True, most=8)
     if not rough.misfit < HOPELESS:
         return rough
     return bench.study.fit(rough.values, free, train, rough.start, most=25)

@@ -136,9 +136,9 @@ def left_out_misfit(bench: Bench, step: Step, folds: Sequence[int]) -> float:
     for k in folds:
         others = [j for j in bench.train if j != k]
         fitted = bench.study.fit(
-            step.optimum.values, free, others, step.optimum.start, tolerance=0.5, most=8 if len(free) else 1
+            step.optimum.values, free, others, step.optimum.start, enough=0.5, most=8 if len(free) else 1
         )
-        total += bench.study.fit(fitted.values, (), [k], step.optimum.start, tolerance=0.5, most=8).misfit
+        total += bench.study.fit(fitted.values, (), [k], step.optimum.start, enough=0.5, most=8).misfit
     return total / max(len(folds), 1)
 
 

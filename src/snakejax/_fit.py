@@ -197,7 +197,7 @@ def approach(
     """Find the way to the optimum over the first seconds of the runs, from several starts where the first fails."""
 
     def first(candidate: Mapping[str, float]) -> Optimum:
-        return study.fit(candidate, free, runs, until=HORIZONS[0], tolerance=2.0, weak_prior=True, most=10)
+        return study.fit(candidate, free, runs, until=HORIZONS[0], enough=2.0, weak_prior=True, most=10)
 
     progress("first seconds")
     require_sensitive(study, values, free, runs)
@@ -209,7 +209,7 @@ def approach(
             best = min(best, first(others[k]), key=study.plausibility)
     for until in HORIZONS[1:]:
         progress(f"first {until:g} seconds")
-        best = study.fit(best.values, free, runs, best.start, until=until, tolerance=1.0, weak_prior=True, most=10)
+        best = study.fit(best.values, free, runs, best.start, until=until, enough=1.0, weak_prior=True, most=10)
     return best
 
 

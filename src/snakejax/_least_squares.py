@@ -1,12 +1,11 @@
 """Whole-run least squares: the residuals of many runs, their Jacobian, and the one room that knows optimistix."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import lineax as lx
 import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float, Int
@@ -14,37 +13,90 @@ from jaxtyping import Array, Float, Int
 from ._batch import Batch
 from ._model import Model
 from ._simulate import Accuracy, simulate
-from ._units import Domain, Scalar, parameters, with_parameters
+from ._units import Domain, parameters, with_parameters
 
 REACH = 3.0
 MOST_STEPS = 60
+STALLED = 8
+"""Rejected steps in a row after which a fit has come as far as the accuracy of its simulations lets it."""
+_FAR, _RELATIVE = 2.0, 1e-5
+"""A misfit above the first ends a fit early: where a step promises to lower chi^2 by less than the second share."""
 
 
-def _on_residuals(change: Any) -> Scalar:
-    """Two-norm of a change of the residuals (a tuple), zero for one of the unknowns.
-
-    So a fit ends when a step no longer changes what is seen: |J dz| is the step in units of standard errors.
+class _Local(eqx.Module):
+    """The linear problem of one step: Jacobian (M, N), residual (M,), the largest norm (N,) that each column of the
+    Jacobian has had so far, and what an undamped step promises.
     """
-    return optx.two_norm(change) if isinstance(change, tuple) else jnp.zeros(())
+
+    jacobian: Float[Array, "M N"]
+    residual: Float[Array, " M"]
+    size: Float[Array, " N"]
+    promise: Float[Array, ""]
+
+
+class _Marquardt(optx.AbstractDescent):
+    """Damped Newton steps, min |J d + r|^2 + lambda |D d|^2, with lambda = 1 / step size.
+
+    D is diagonal, the largest norm that each column of J has had, over `unit` (Moré 1978), so that with lambda = 1 the
+    residuals change by about `unit`, and no unknown runs away where it has just lost its effect.
+    """
+
+    unit: Float[Array, ""]
+
+    def init(self, y, f_info_struct) -> _Local:
+        rows = sum(leaf.size for leaf in jax.tree.leaves(f_info_struct.residual))
+        return _Local(jnp.zeros((rows, y.size)), jnp.zeros(rows), jnp.zeros(y.size), jnp.asarray(jnp.inf))
+
+    def query(self, y, f_info, state) -> _Local:
+        del y
+        J, r = f_info.jac.as_matrix(), jnp.concatenate([leaf.ravel() for leaf in jax.tree.leaves(f_info.residual)])
+        now = jnp.sqrt(jnp.sum(J**2, axis=0))
+        return _Local(J, r, jnp.maximum(state.size, now), jnp.sum(_solved(J, r, now, 1e-7)[1] ** 2))
+
+    def step(self, step_size, state):
+        damping = 1 / (self.unit * jnp.sqrt(step_size))
+        return -_solved(state.jacobian, state.residual, state.size, damping)[0], _SUCCESSFUL
+
+
+_SUCCESSFUL = optx.RESULTS.successful
+
+
+def _solved(J, r, size, damping) -> tuple[Array, Array]:
+    """argmin |J d - r|^2 + |damping size d|^2, and the part of (r, 0) in the span of (J, damping size)."""
+    size = jnp.where(size > 0, size, 1.0)
+    q, t = jnp.linalg.qr(jnp.concatenate([J / size[None, :], damping * jnp.eye(size.size)]))
+    within = q.T @ jnp.concatenate([r, jnp.zeros_like(size)])
+    return jax.scipy.linalg.solve_triangular(t, within) / size, within
 
 
 class _LevenbergMarquardt(optx.AbstractGaussNewton):
-    """optimistix's damped Newton descent, with a trust region that widens on a fair step, not on a perfect one alone.
+    """optimistix's Gauss-Newton with `_Marquardt` steps and a trust region that widens on a good step, not on a perfect
+    one alone: these residuals bend, and with optimistix's own cutoff of 0.99 the damping stays large.
 
-    These residuals bend: with optimistix's own cutoff of 0.99 the damping stays large and a fit takes thrice the steps.
+    It ends where an undamped step promises to lower chi^2 by less than `enough`, or, far from the noise of the
+    `samples`, by a small share of it.
     """
 
-    rtol: float
-    atol: Float[Array, ""]
+    enough: Float[Array, ""]
+    samples: Float[Array, ""]
     most: Int[Array, ""]
-    norm: Callable = _on_residuals
-    descent: optx.AbstractDescent = optx.DampedNewtonDescent(linear_solver=lx.QR())
-    search: optx.AbstractSearch = optx.ClassicalTrustRegion(high_cutoff=0.5, high_constant=8.0)
+    descent: _Marquardt
+    rtol: float = 0.0
+    atol: float = 1e-300
+    norm: Callable = optx.two_norm
+    search: optx.AbstractSearch = optx.ClassicalTrustRegion(high_cutoff=0.9, high_constant=3.0, low_constant=0.4)
     verbose: Callable = lambda **_: None
 
     def terminate(self, fn, y, args, options, state, tags):
-        done, result = super().terminate(fn, y, args, options, state, tags)
-        return done | (state.num_steps >= self.most), result
+        del fn, y, args, options, tags
+        stalled = (state.num_steps >= self.most) | (state.num_steps_since_acceptance >= STALLED)
+        return (state.num_steps > 0) & (self.settled(state) | stalled), state.result
+
+    def settled(self, state):
+        """Whether nothing is left to gain."""
+        square = jnp.sum(state.descent_state.residual**2)
+        far = square > _FAR * self.samples
+        return state.descent_state.promise < jnp.maximum(self.enough, jnp.where(far, _RELATIVE * square, 0.0))
 
 
 class Unknowns(eqx.Module):
@@ -76,7 +128,7 @@ class Solved(NamedTuple):
     unknowns: Unknowns
     linearised: Linearised
     steps: int
-    converged: bool
+    settled: bool
 
 
 def unknowns(model: Model, names: Sequence[str], free: Sequence[str], runs: Batch, width: int) -> Unknowns:
@@ -160,38 +212,42 @@ def _robust(r, J, threshold):
     return jnp.where(far, jnp.sign(r) * bent, r), J * slope[..., None]
 
 
+def _triangles(r, J):
+    """R (R, K+S+1, K+S+1) of the QR decomposition of [J r], run by run: as a residual and its Jacobian it has the same
+    norm, gradient and curvature as they, in few numbers. Where one is not finite the residual is infinite.
+    """
+    whole = jnp.concatenate([J, r[..., None]], axis=-1).reshape(r.shape[0], -1, J.shape[-1] + 1)
+    finite = jnp.all(jnp.isfinite(whole))
+    triangle = jnp.linalg.qr(jnp.where(finite, whole, 0.0), mode="r")
+    return jnp.where(finite, triangle[..., -1], jnp.inf), triangle[..., :-1]
+
+
 @eqx.filter_jit
-def _solve(
-    model, at: Unknowns, batch: Batch, order, count, scale, start_scale, prior, tolerance, threshold, most, accuracy
-):
+def _solve(model, at: Unknowns, batch: Batch, order, count, unit, prior, enough, threshold, most, accuracy):
     width, depth = at.directions.shape[0], at.start.shape[1]
     R = batch.times.shape[0]
     pull, strength = prior
 
     def residuals(z, _):
         fixed = jax.lax.stop_gradient(z)
-        steps = fixed[:width] * scale
-        start_steps = fixed[width:].reshape(R, depth) * start_scale
-        out = linearise(model, at, batch, order, count, steps, start_steps, accuracy)
-        r, J = _robust(*out, threshold)
-        dz, dstart = (z - fixed)[:width] * scale, (z - fixed)[width:].reshape(R, depth) * start_scale
+        out = linearise(model, at, batch, order, count, fixed[:width], fixed[width:].reshape(R, depth), accuracy)
+        r, J = _triangles(*_robust(*out, threshold))
+        dz, dstart = (z - fixed)[:width], (z - fixed)[width:].reshape(R, depth)
         # The value is r; the derivative is the Jacobian just computed, run by run.
-        linear = r + jnp.einsum("rnck,k->rnc", J[..., :width], dz) + jnp.einsum("rncs,rs->rnc", J[..., width:], dstart)
-        return (linear, strength * (z[:width] * scale - pull)), out
+        linear = r + jnp.einsum("rmk,k->rm", J[..., :width], dz) + jnp.einsum("rms,rs->rm", J[..., width:], dstart)
+        return (linear, strength * (z[:width] - pull)), out
 
+    present = jnp.sum(batch.weight > 0, axis=(1, 2))[order]
+    samples = jnp.sum(jnp.where(jnp.arange(R) < count, present, 0)).astype(float)
+    solver = _LevenbergMarquardt(enough=enough, samples=samples, most=most, descent=_Marquardt(unit))
     solution = optx.least_squares(
-        residuals,
-        _LevenbergMarquardt(rtol=0.0, atol=tolerance, most=most),
-        jnp.zeros(width + R * depth),
-        has_aux=True,
-        max_steps=MOST_STEPS,
-        throw=False,
+        residuals, solver, jnp.zeros(width + R * depth), has_aux=True, max_steps=MOST_STEPS, throw=False
     )
     z = solution.value
-    values = moved(domains_of(model, at.names), at, z[:width] * scale)
-    start = at.start + at.free_start * z[width:].reshape(R, depth) * start_scale
+    values = moved(domains_of(model, at.names), at, z[:width])
+    start = at.start + at.free_start * z[width:].reshape(R, depth)
     ended = eqx.tree_at(lambda u: (u.values, u.start), at, (values, start))
-    return ended, solution.aux, solution.stats["num_steps"], solution.result == optx.RESULTS.successful
+    return ended, solution.state.aux, solution.stats["num_steps"], solver.settled(solution.state)
 
 
 def solve(
@@ -200,44 +256,37 @@ def solve(
     batch: Batch,
     runs: list[int],
     *,
-    scale: np.ndarray | None = None,
-    start_scale: np.ndarray | None = None,
+    unit: float = 30.0,
     prior: tuple[np.ndarray, np.ndarray] | None = None,
-    tolerance: float = 0.05,
+    enough: float = 0.05,
     threshold: float = np.inf,
     most: int = MOST_STEPS,
     accuracy: Accuracy,
 ) -> Solved:
     """Levenberg-Marquardt from `at` over the runs numbered `runs`.
 
-    Steps are counted in units of `scale` (K,) and `start_scale` (R, S), so that a step of one changes the residuals by
-    about one standard deviation of the noise; it ends when the residuals, as one vector, change by less than
-    `tolerance`. An infinite tolerance evaluates at `at` and moves nothing. `prior` (mean, 1 / spread) of the steps,
-    each (K,), if any. `most` bounds the number of steps.
+    The first step changes the residuals by about `unit` standard deviations of the noise at most. It ends where a step
+    promises to lower chi^2 by less than `enough`, and after `most` steps. `prior` (mean, 1 / spread) of the steps, each
+    (K,), if any.
     """
-    R, S = batch.start.shape
-    order = np.zeros(R, np.int64)
+    width = at.directions.shape[0]
+    order = np.zeros(batch.start.shape[0], np.int64)
     order[: len(runs)] = runs
-    scale = np.ones(at.directions.shape[0]) if scale is None else scale
-    start_scale = np.ones((R, S)) if start_scale is None else start_scale
-    prior = (np.zeros_like(scale), np.zeros_like(scale)) if prior is None else prior
-    ended, linearised, steps, converged = _solve(
+    prior = (np.zeros(width), np.zeros(width)) if prior is None else prior
+    ended, linearised, steps, settled = _solve(
         model,
         at,
         batch,
         jnp.asarray(order),
         jnp.asarray(len(runs)),
-        jnp.asarray(scale),
-        jnp.asarray(start_scale),
+        jnp.asarray(unit, jnp.float64),
         (jnp.asarray(prior[0]), jnp.asarray(prior[1])),
-        jnp.asarray(tolerance, jnp.float64),
+        jnp.asarray(enough, jnp.float64),
         jnp.asarray(threshold, jnp.float64),
         jnp.asarray(most),
         accuracy,
     )
-    return Solved(
-        ended, Linearised(*(np.asarray(part) for part in linearised)), int(steps), bool(converged) and int(steps) < most
-    )
+    return Solved(ended, Linearised(*(np.asarray(part) for part in linearised)), int(steps), bool(settled))
 
 
 def starts_removed(
@@ -259,4 +308,4 @@ def basis(columns: Float[np.ndarray, "N K"], smallest: float) -> Float[np.ndarra
 
 def evaluate(model: Model, at: Unknowns, batch: Batch, runs: list[int], accuracy: Accuracy) -> Linearised:
     """Residuals and Jacobian at `at`, by the same compiled program as `solve`."""
-    return solve(model, at, batch, runs, tolerance=np.inf, accuracy=accuracy).linearised
+    return solve(model, at, batch, runs, most=1, accuracy=accuracy).linearised

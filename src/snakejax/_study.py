@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ._batch import Batch, batch
-from ._least_squares import Linearised, Unknowns, basis, domains_of, evaluate, solve, starts_removed, unknowns
+from ._least_squares import Linearised, Unknowns, domains_of, evaluate, solve, starts_removed, unknowns
 from ._model import Model
 from ._recording import Noise, Run
 from ._simulate import Accuracy
@@ -19,10 +19,9 @@ FIT_ACCURACY = Accuracy(rtol=1e-6, atol=1e-8, max_steps=32768, derivative="forwa
 
 DEPENDENT = 100.0
 """How many neighbouring samples share one error of a wrong model."""
-_RELATIVE = 3e-3
 _SCALE_SPREAD = 0.7
-_CAREFUL, _BOLD = 30.0, 300.0
-"""Levenberg-Marquardt's first unit step changes the residuals by this many standard deviations of the noise."""
+_ROUNDS, _ROUND = 8, 20
+"""A fit starts afresh from where it is after so many steps, and where a parameter meets a bound."""
 
 
 class Optimum(NamedTuple):
@@ -112,58 +111,52 @@ class Study(eqx.Module):
         *,
         until: float = np.inf,
         threshold: float = np.inf,
-        tolerance: float = 0.05,
+        enough: float = 0.05,
         weak_prior: bool = False,
         most: int = 60,
     ) -> Optimum:
         """Least squares over `runs` from `values`, each parameter kept in its domain.
 
         A parameter that wants to leave its domain is held on the bound while the others move, and let go where the
-        misfit would fall inside. `until` [s] leaves out what comes later; `threshold` is that of Huber's loss; `most`
-        bounds the steps; `weak_prior` pulls towards what is typical, for a first approach.
+        misfit would fall inside. `until` [s] leaves out what comes later; `threshold` is that of Huber's loss; the fit
+        ends where a step promises to lower chi^2 by less than `enough`, or after `most` steps; `weak_prior` pulls
+        towards what is typical, for a first approach.
         """
         with np.errstate(over="ignore", invalid="ignore"):
-            return self._fit(values, list(free), list(runs), start, until, threshold, tolerance, weak_prior, most)
+            return self._fit(values, list(free), list(runs), start, until, threshold, enough, weak_prior, most)
 
-    def _fit(self, values, free, runs, start, until, threshold, tolerance, weak_prior, most) -> Optimum:
+    def _fit(self, values, free, runs, start, until, threshold, enough, weak_prior, most) -> Optimum:
         span = self._within(until)
         at = self.at(values, free, start)
+        moving = np.asarray(at.directions)
+        found = evaluate(self.model, at, span, runs, self.accuracy) if weak_prior else None
         held: list[str] = []
-        steps, converged = 0, False
-        found = evaluate(self.model, at, span, runs, self.accuracy)
-        unit = _CAREFUL if weak_prior else _BOLD
-        for _ in range(6):
-            at = eqx.tree_at(lambda u: u.directions, at, self.at(values, _only(free, held)).directions)
-            rough = self._enough(found, runs, tolerance)
-            scale, start_scale = self._scales(at, found, runs, unit)
+        steps, settled = 0, False
+        for _ in range(_ROUNDS):
             solved = solve(
                 self.model,
                 at,
                 span,
                 runs,
-                scale=scale,
-                start_scale=start_scale,
-                prior=self._prior(at, free, found, runs) if weak_prior else None,
-                tolerance=rough,
+                prior=None if found is None else self._prior(at, free, found, runs),
+                enough=enough,
                 threshold=threshold,
-                most=most,
+                most=min(most - steps, _ROUND),
                 accuracy=self.accuracy,
             )
-            steps, converged = steps + solved.steps, solved.converged
-            at = eqx.tree_at(lambda u: u.directions, solved.unknowns, self.at(values, free).directions)
-            found = solved.linearised
-            if held:
-                found = evaluate(self.model, at, span, runs, self.accuracy)
-            snapped = self._pressing(at, found, free, runs)
-            fine = rough <= 4 * self._enough(found, runs, tolerance)
-            # A step may be small only because it was damped; an undamped one tells.
-            there = weak_prior or self._promise(at, found, free, held, runs) < max(1.0, rough) * tolerance
-            if solved.steps >= most or (fine and there and set(snapped) == set(held)):
+            steps, settled = steps + solved.steps, solved.settled
+            at = eqx.tree_at(lambda u: u.directions, solved.unknowns, jnp.asarray(moving))
+            ended = evaluate(self.model, at, span, runs, self.accuracy) if held else solved.linearised
+            snapped = self._pressing(at, ended, free, runs)
+            done = settled or solved.steps < _ROUND
+            if (done and set(snapped) == set(held)) or steps >= most:
                 break
-            unit = unit * 10
-            at = eqx.tree_at(lambda u: u.values, at, jnp.asarray([snapped.get(n, v) for n, v in self._named(at)]))
             held = list(snapped)
-        return self._optimum(at, found, free, held, runs, span, steps, converged)
+            values = [snapped.get(name, value) for name, value in self._named(at)]
+            loose = [k >= len(free) or free[k] not in held for k in range(self.width)]
+            directions = jnp.asarray(moving * np.array(loose)[:, None])
+            at = eqx.tree_at(lambda u: (u.values, u.directions), at, (jnp.asarray(values), directions))
+        return self._optimum(at, ended, free, held, runs, span, steps, settled)
 
     def _optimum(self, at, found, free, held, runs, span, steps, converged) -> Optimum:
         loose = [free.index(name) for name in free if name not in held]
@@ -197,22 +190,6 @@ class Study(eqx.Module):
 
     def _named(self, at: Unknowns) -> list[tuple[str, float]]:
         return [(name, float(value)) for name, value in zip(self.names, np.asarray(at.values), strict=True)]
-
-    def _promise(self, at: Unknowns, found: Linearised, free: list[str], held: list[str], runs: list[int]) -> float:
-        """The fall of chi^2 that an undamped Gauss-Newton step promises: the residual's part in the Jacobian's span."""
-        loose = [row for row, name in enumerate(free) if name not in held]
-        free_start = np.asarray(at.free_start)
-        parts = [starts_removed(found, k, self.width, free_start) for k in runs]
-        rest = np.concatenate([r for r, _ in parts])
-        gain = float((found.residual[runs] ** 2).sum() - (rest**2).sum())
-        columns = np.concatenate([J[:, loose] for _, J in parts])
-        return gain + float(((basis(columns, 1e-7).T @ rest) ** 2).sum())
-
-    def _enough(self, found: Linearised, runs: list[int], tolerance: float) -> float:
-        """The change of the residual vector to stop at; a model that is far off need not be fitted to the noise."""
-        square = float((found.residual[runs] ** 2).sum())
-        misfit = square / max(self.samples(runs), 1)
-        return max(tolerance, _RELATIVE * np.sqrt(square)) if misfit > 2 else tolerance
 
     def _prior(
         self, at: Unknowns, free: list[str], found: Linearised, runs: list[int]
@@ -259,20 +236,6 @@ class Study(eqx.Module):
             elif domain.high - values[name] <= reach and downhill:
                 pressing[name] = domain.high
         return pressing
-
-    def _scales(self, at: Unknowns, found: Linearised, runs: list[int], unit: float) -> tuple[np.ndarray, np.ndarray]:
-        used = np.abs(np.asarray(at.directions)).sum(axis=1) > 0
-        square = np.asarray(found.jacobian) ** 2
-        norms = np.sqrt(square[runs][..., : self.width].sum(axis=(0, 1, 2)))
-        scale = np.where(used & (norms > 0), unit / np.where(norms > 0, norms, 1.0), 0.0)
-        start_norms = np.sqrt(square[..., self.width :].sum(axis=(1, 2)))
-        known = (start_norms > 0) & np.isin(np.arange(len(self.runs)), runs)[:, None]
-        return scale, np.where(known, unit / np.where(known, start_norms, 1.0), 0.0)
-
-
-def _only(free: Sequence[str], held: Sequence[str]) -> list[str]:
-    """`free` with an empty name in the place of each that is `held`, so that rows keep their places."""
-    return ["" if name in held else name for name in free]
 
 
 def inverse(normal: np.ndarray) -> np.ndarray:

@@ -37,9 +37,11 @@ def start_jax() -> None:
     # Checks that raise call back into Python, and a program that does is not kept on disk. As NaN they end in the
     # checks for finite results that every fit makes.
     os.environ.setdefault("EQX_ON_ERROR", "nan")
+    from .._prepare import prepare_jax
+
+    prepare_jax()
     import jax
 
-    jax.config.update("jax_enable_x64", True)
     if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
         with contextlib.suppress(OSError, RuntimeError):
             folder = cache_folder()
