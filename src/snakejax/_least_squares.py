@@ -218,7 +218,8 @@ def _triangles(r, J):
     """
     whole = jnp.concatenate([J, r[..., None]], axis=-1).reshape(r.shape[0], -1, J.shape[-1] + 1)
     finite = jnp.all(jnp.isfinite(whole))
-    triangle = jnp.linalg.qr(jnp.where(finite, whole, 0.0), mode="r")
+    # One after the other: a batch of decompositions waits for threads that two fits at a time do not leave it.
+    triangle = jax.lax.map(lambda one: jnp.linalg.qr(one, mode="r"), jnp.where(finite, whole, 0.0))
     return jnp.where(finite, triangle[..., -1], jnp.inf), triangle[..., :-1]
 
 
