@@ -16,7 +16,7 @@ from ._score import ALPHA, Reduced, Scored, confusable, reduced, score
 from ._skid import Coupled
 from ._study import Optimum, Study
 from ._units import parameters
-from ._windows import Settled, Windows, wide
+from ._windows import Settled, Windows, linearised
 
 LATERAL_SKID = "lateral_skid"
 WINDOW = 1.5
@@ -29,6 +29,8 @@ HOPELESS = 50.0
 """Above this misfit a model is far from the truth, and polishing its parameters would only make them absurd."""
 FAR = 1.1
 """Above this misfit of the windows, they are searched for a further effect before whole runs are believed."""
+CLOSE = 2.0
+"""Windows that leave less than this misfit have found values from which whole runs can be fitted at once."""
 SETTLED = 4
 BEAM = 3
 GAIN = 0.9
@@ -87,7 +89,7 @@ class Bench(eqx.Module):
         tyre = tuple(n for n in default_free(model) if n.startswith("tyre."))
         names = [*tyre, *(part for parts in candidates.values() for part in parts)]
         study = Study.of(full, case.runs, noise, names, WIDTH)
-        windows = Windows.of(full, case.having("train"), noise, names, WINDOW)
+        windows = Windows.of(full, case.having("train"), noise, names, WIDTH, WINDOW)
         return Bench(study, windows, tyre, candidates, left_out, switched)
 
     @property
@@ -121,11 +123,11 @@ def on_windows(bench: Bench, values: Mapping[str, float], start: np.ndarray) -> 
 
 
 def _signatures(bench: Bench, study: Study, values, start, runs) -> Reduced:
-    found = wide(study, values, start, runs)
+    found = linearised(study, values, start, runs)
     jacobian = found.jacobian.copy()
     for name, probe in bench.probes().items():
         if values[name] == 0.0:
-            there = wide(study, {**values, name: probe}, start, runs)
+            there = linearised(study, {**values, name: probe}, start, runs, ())
             jacobian[..., study.names.index(name)] = (there.residual - found.residual) / probe
     free_start = np.asarray(study.batch.free_start)
     return reduced(found._replace(jacobian=jacobian), free_start, list(runs), np.asarray(study.batch.times), WINDOW)
@@ -139,11 +141,15 @@ class Step(NamedTuple):
 
 
 class Prospect(NamedTuple):
-    """A candidate as its score sees it: where to start its refit, and the misfit to expect once it is in."""
+    """A candidate as its score sees it: where to start its refit, and the misfit to expect once it is in.
+
+    `start`: where the windows start with it, if they have settled.
+    """
 
     score: Scored
     values: dict[str, float]
     misfit: float
+    start: np.ndarray | None = None
 
 
 def prospects(bench: Bench, step: Step, progress: Callable[[str], None] = lambda _: None) -> list[Prospect]:
@@ -170,23 +176,27 @@ def prospects(bench: Bench, step: Step, progress: Callable[[str], None] = lambda
     found = [Prospect(s, {**values, **s.values}, max(chi2 - s.reduction, 0.0) / dof) for s in scores]
     if near:
         return found
-    return _settle_all(bench, found, remaining, fitted, start, chi2 / dof, dof, progress)
+    return _settle_all(bench, found, remaining, fitted, values, start, chi2 / dof, dof, progress)
 
 
-def _settle_all(bench, found, remaining, fitted, start, misfit, dof, progress) -> list[Prospect]:
+def _settle_all(bench, found, remaining, fitted, values, start, misfit, dof, progress) -> list[Prospect]:
     """The best of `found`, and those without a derivative at zero, settled on the windows; they come first."""
     close = [p for p in found if p.score.effect in _probed(bench)]
     close += [p for p in found if p not in close and p.score.p_value < ALPHA][:SETTLED]
     progress(f"settling {len(close)} candidates on windows")
 
+    def beside(prospect: Prospect) -> dict[str, float]:
+        # From where the others have settled, so that all move together; only what has no slope at zero starts off it.
+        parts = remaining[prospect.score.effect]
+        return {n: _off_zero(bench, n, values[n]) if n in parts else values[n] for n in prospect.values}
+
     def settle(prospect: Prospect) -> Prospect:
         parts = remaining[prospect.score.effect]
-        begin = {n: _off_zero(bench, n, v) if n in parts else v for n, v in prospect.values.items()}
-        best = bench.windows.settle(begin, [*fitted, *parts], start, rounds=5)
+        best = bench.windows.settle(beside(prospect), [*fitted, *parts], start, rounds=8)
         if best.cost / dof > misfit:
             return prospect._replace(misfit=misfit)
         changed = prospect.score._replace(values={n: best.values[n] for n in parts})
-        return Prospect(changed, best.values, best.cost / dof)
+        return Prospect(changed, best.values, best.cost / dof, best.start)
 
     with ThreadPoolExecutor(WORKERS) as pool:
         close = sorted(pool.map(settle, close), key=lambda p: p.misfit)
@@ -200,6 +210,7 @@ class Suspects(NamedTuple):
     effects: tuple[str, ...]
     values: dict[str, float]
     misfit: float
+    start: np.ndarray | None
 
 
 def accomplices(
@@ -209,7 +220,7 @@ def accomplices(
 
     An effect that comes first by itself need not belong to the best pair, so several are followed.
     """
-    beam = [Suspects((*step.effects, p.score.effect), p.values, p.misfit) for p in first[:BEAM]]
+    beam = [Suspects((*step.effects, p.score.effect), p.values, p.misfit, p.start) for p in first[:BEAM]]
     everything = list(beam)
     while beam and beam[0].misfit > FAR and len(beam[0].effects) < most:
         grown: list[Suspects] = []
@@ -227,7 +238,7 @@ def accomplices(
 def _grown(bench: Bench, suspects: Suspects, known: set[frozenset[str]]) -> list[Suspects]:
     """`suspects` and one more, for the few that promise most."""
     free = bench.free(suspects.effects)
-    settled = bench.windows.settle(suspects.values, free, rounds=2)
+    settled = bench.windows.settle(suspects.values, free, suspects.start, rounds=4)
     rest = on_windows(bench, settled.values, settled.start)
     dof = max(rest.residual.size - rest.lost - len(free), 1)
     remaining = {n: parts for n, parts in bench.candidates.items() if n not in suspects.effects}
@@ -235,9 +246,9 @@ def _grown(bench: Bench, suspects: Suspects, known: set[frozenset[str]]) -> list
     new = [s for s in scores if frozenset((*suspects.effects, s.effect)) not in known][:BEAM]
 
     def settle(s: Scored) -> Suspects:
-        begin = {**settled.values, **{n: _off_zero(bench, n, v) for n, v in s.values.items()}}
-        best = bench.windows.settle(begin, [*free, *remaining[s.effect]], settled.start, rounds=4)
-        return Suspects((*suspects.effects, s.effect), best.values, best.cost / dof)
+        begin = {**settled.values, **{n: _off_zero(bench, n, settled.values[n]) for n in s.values}}
+        best = bench.windows.settle(begin, [*free, *remaining[s.effect]], settled.start, rounds=8)
+        return Suspects((*suspects.effects, s.effect), best.values, best.cost / dof, best.start)
 
     with ThreadPoolExecutor(WORKERS) as pool:
         return list(pool.map(settle, new))
@@ -255,17 +266,25 @@ def _probed(bench: Bench) -> set[str]:
     return {name.split(".")[1] for name in bench.probes()}
 
 
-def refit(bench: Bench, effects: Sequence[str], values: Mapping[str, float]) -> Optimum:
-    """Fit a model with `effects` to whole train runs, from `values`, over a growing horizon."""
+def refit(bench: Bench, effects: Sequence[str], values: Mapping[str, float], *, near: bool = True) -> Optimum:
+    """Fit a model with `effects` to whole train runs from `values`.
+
+    Where windows leave little, the values there are `near` the optimum. Else the fit goes over a growing horizon, and
+    stops early while the model stays far off: polishing it would only make its parameters absurd.
+    """
     free, train = bench.free(effects), bench.train
     neutral = bench.study.values()
     known = {name: (values[name] if name in free else neutral[name]) for name in bench.study.names}
     known = {name: _off_zero(bench, name, value) if name in free else value for name, value in known.items()}
+    if near:
+        found = bench.study.fit(known, free, train, most=30)
+        if found.misfit < HOPELESS:
+            return found
     first = bench.study.fit(known, free, train, until=4.0, enough=1.0, weak_prior=True, most=6)
-    rough = bench.study.fit(first.values, free, train, first.start, enough=1.0, weak_prior=True, most=8)
+    rough = bench.study.fit(first.values, free, train, first.start, enough=1.0, weak_prior=True, most=4)
     if not rough.misfit < HOPELESS:
         return rough
-    return bench.study.fit(rough.values, free, train, rough.start, most=25)
+    return bench.study.fit(rough.values, free, train, rough.start, most=30)
 
 
 def _off_zero(bench: Bench, name: str, value: float) -> float:
@@ -287,7 +306,8 @@ def rank(
     progress(f"refitting {len(shortlist)} candidates on whole runs")
 
     def again(prospect: Prospect) -> Optimum:
-        return refit(bench, [*step.effects, prospect.score.effect], prospect.values)
+        near = prospect.misfit < CLOSE
+        return refit(bench, [*step.effects, prospect.score.effect], prospect.values, near=near)
 
     with ThreadPoolExecutor(WORKERS) as pool:
         refits = dict(zip([p.score.effect for p in shortlist], pool.map(again, shortlist), strict=True))
@@ -311,7 +331,8 @@ def base_fit(bench: Bench, effects: Sequence[str] = (), progress: Callable[[str]
     require_sensitive(study, study.values(), bench.tyre, train)
     settled = bench.windows.settle(study.values(), bench.free(effects))
     progress("fitting whole runs")
-    return require_sound(study, refit(bench, effects, settled.values), train)
+    misfit = settled.cost / max(settled.found.residual.size, 1)
+    return require_sound(study, refit(bench, effects, settled.values, near=misfit < CLOSE), train)
 
 
 def structures(case: Case, kind: str, skid: str | None) -> list[tuple[str, Model]]:

@@ -8,6 +8,7 @@ import numpy as np
 from scipy import stats
 
 from ._diagnose import (
+    CLOSE,
     HOPELESS,
     LATERAL_SKID,
     NEARLY,
@@ -22,9 +23,10 @@ from ._diagnose import (
 )
 from ._effect import Effect
 from ._fit import Estimate, RunScore, Score, estimated, judged, pooled, run_scores, spread
+from ._least_squares import starts_removed
 from ._recording import Case, Noise
 from ._score import ALPHA
-from ._study import Optimum
+from ._study import Optimum, inverse
 
 MOST_EFFECTS = 4
 NOISE_SIGMAS = 4.0
@@ -130,23 +132,31 @@ def stage(bench: Bench, change: str, name: str, step: Step, ranking: Sequence[Ra
     )
 
 
-def left_out_misfit(bench: Bench, step: Step, folds: Sequence[int]) -> float:
-    """Mean misfit of each train run under parameters fitted to the other train runs."""
-    free, total = bench.free(step.effects), 0.0
-    for k in folds:
-        others = [j for j in bench.train if j != k]
-        fitted = bench.study.fit(
-            step.optimum.values, free, others, step.optimum.start, enough=0.5, most=8 if len(free) else 1
-        )
-        total += bench.study.fit(fitted.values, (), [k], step.optimum.start, enough=0.5, most=8).misfit
-    return total / max(len(folds), 1)
+def left_out_misfit(bench: Bench, step: Step) -> float:
+    """Mean squared residual of each train run under parameters fitted to the other train runs, by the linear model.
+
+    With N_j and g_j the normal matrix and gradient of run j, starts projected out, leaving out run k moves the
+    parameters by d = -(sum_(j != k) N_j)^-1 sum_(j != k) g_j, and its residual to r_k + J_k d.
+    """
+    optimum = step.optimum
+    loose = [optimum.free.index(name) for name in optimum.loose]
+    free_start = np.asarray(bench.study.batch.free_start)
+    parts = [starts_removed(optimum.linearised, k, bench.study.width, free_start) for k in bench.train]
+    rest, columns = [r for r, _ in parts], [J[:, loose] for _, J in parts]
+    normals, slopes = [J.T @ J for J in columns], [J.T @ r for J, r in zip(columns, rest, strict=True)]
+    total = 0.0
+    for k, (r, J) in enumerate(zip(rest, columns, strict=True)):
+        others = inverse(sum(normals) - normals[k])
+        moved = -others @ (sum(slopes) - slopes[k])
+        total += float(((r + J @ moved) ** 2).sum())
+    return total / optimum.samples
 
 
 def better(bench: Bench, now: Step, then: Step) -> bool:
-    """Whether `then` predicts train runs it has not seen better than `now`, and enough to matter.
+    """Whether `then` predicts train runs it has not seen better than `now` does, and enough to matter.
 
-    A fall of chi^2 within a score test's reach of zero is no evidence; a fall to noise from far above it needs no
-    cross-validation to be believed, but gets it all the same where the two are close.
+    A fall of chi^2 within a score test's reach of zero is no evidence. Where `now` is far from the recordings the
+    misfit of its own fit stands for what it would predict, which favours it.
     """
     samples = now.optimum.samples
     fall = samples * (now.optimum.misfit - then.optimum.misfit)
@@ -160,7 +170,8 @@ def better(bench: Bench, now: Step, then: Step) -> bool:
             return False
     if then.optimum.misfit > HOPELESS:
         return True
-    return left_out_misfit(bench, then, bench.train) < left_out_misfit(bench, now, bench.train)
+    present = left_out_misfit(bench, now) if now.optimum.misfit < NEARLY else now.optimum.misfit
+    return left_out_misfit(bench, then) < present
 
 
 def explain(
@@ -237,7 +248,9 @@ def _follow(bench, step, ranking, before, progress, show) -> list[Stage]:
         ranking = tuple(rank(bench, step, progress=progress))
         stages.append(stage(bench, "added", name, step, ranking))
         show(stages[-1])
-    for name in step.effects[:-1]:
+    for name in step.effects:
+        if len(step.effects) < 2 or _certain(bench, step, name):
+            continue
         progress(f"can the model do without {name}?")
         rest = tuple(effect for effect in step.effects if effect != name)
         without = Step(rest, refit(bench, rest, step.optimum.values))
@@ -248,6 +261,18 @@ def _follow(bench, step, ranking, before, progress, show) -> list[Stage]:
             stages.append(stage(bench, "dropped", name, step))
             show(stages[-1])
     return stages
+
+
+def _certain(bench: Bench, step: Step, name: str) -> bool:
+    """Whether `name` is so far from neutral, in its standard errors, that no refit without it is needed."""
+    parts = [part for part in bench.candidates[name] if part in step.optimum.loose]
+    if not parts or not only_noise(step.optimum):
+        return False
+    rows = [step.optimum.loose.index(part) for part in parts]
+    values = np.array([step.optimum.values[part] for part in parts])
+    covariance = step.optimum.covariance[np.ix_(rows, rows)]
+    wald = float(values @ inverse(covariance) @ values) if np.isfinite(covariance).all() else 0.0
+    return wald > 1e3 * len(parts)
 
 
 def _together(bench, step, ranking, progress) -> list[tuple[str, Step, tuple[Ranked, ...]]]:
@@ -261,17 +286,20 @@ def _together(bench, step, ranking, progress) -> list[tuple[str, Step, tuple[Ran
     best_on_windows = sets[0].misfit if sets else np.inf
     tried = [s for s in sets if s.misfit - 1 < 2 * max(best_on_windows - 1, 0.02)][:3]
     progress(f"refitting {len(tried)} sets of effects on whole runs")
-    refits = [Step(s.effects, refit(bench, s.effects, s.values)) for s in tried]
+    refits = [Step(s.effects, refit(bench, s.effects, s.values, near=s.misfit < CLOSE)) for s in tried]
     refits = [r for r in refits if r.optimum.misfit < step.optimum.misfit]
     if not refits:
         return []
-    best = min(refits, key=lambda r: r.optimum.misfit)
+    best = min(
+        refits,
+        key=lambda r: (not only_noise(r.optimum), len(r.effects) if only_noise(r.optimum) else 0, r.optimum.misfit),
+    )
     if not better(bench, step, best):
         return []
     path = []
     for count in range(len(step.effects) + 1, len(best.effects)):
         part = best.effects[:count]
-        path.append((part[-1], Step(part, refit(bench, part, best.optimum.values)), ()))
+        path.append((part[-1], Step(part, refit(bench, part, best.optimum.values, near=False)), ()))
     path.append((best.effects[-1], best, tuple(rank(bench, best, progress=progress))))
     return path
 

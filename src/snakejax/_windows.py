@@ -5,6 +5,7 @@ small, and what a candidate effect would change is seen beside it.
 """
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import equinox as eqx
@@ -21,8 +22,11 @@ from ._study import DEPENDENT, Study
 
 _linearise = eqx.filter_jit(linearise)
 
-ACCURACY = Accuracy(rtol=1e-4, atol=1e-6, max_steps=3000, derivative="forward")
-"""Errors of a window stay below a thirtieth of the noise; one so stiff that it needs more steps is given up."""
+ACCURACY = Accuracy(rtol=3e-6, atol=3e-8, max_steps=4000, derivative="forward")
+"""Looser, the derivatives of stiff windows are no longer sound; a window that needs more steps is given up."""
+THREADS = 2
+ENOUGH = 0.003
+"""A round that lowers the cost by less than this share is the last."""
 SMOOTHING = 0.12
 """Half width [s] of the cubic through the samples that gives the velocities at the start of a window."""
 
@@ -87,29 +91,46 @@ def states(model: Model, run: Run) -> np.ndarray:
     return np.stack([pose[:, 0], pose[:, 1], heading, u, heading - theta, rate[:, 2]], axis=1)
 
 
-def wide(study: Study, values: Mapping[str, float], start: np.ndarray, runs: Sequence[int]) -> Linearised:
-    """Residuals and the Jacobian by every movable parameter at once, for `runs`."""
+def linearised(
+    study: Study,
+    values: Mapping[str, float],
+    start: np.ndarray,
+    runs: Sequence[int],
+    free: Sequence[str] | None = None,
+) -> Linearised:
+    """Residuals of `runs` and their Jacobian by the parameters `free` (default: every movable one) and the start.
+
+    The runs are shared out among `THREADS`.
+    """
     P = len(study.names)
+    width = P if free is None else study.width
+    directions = np.eye(P)
+    if free is not None:
+        directions = np.zeros((width, P))
+        directions[range(len(free)), [study.names.index(name) for name in free]] = 1.0
+    numbers = np.array([values[name] for name in study.names])
     point = Unknowns(
-        study.names,
-        jnp.asarray([values[name] for name in study.names]),
-        jnp.eye(P),
-        jnp.asarray(start),
-        study.batch.free_start,
+        study.names, jnp.asarray(numbers), jnp.asarray(directions), jnp.asarray(start), study.batch.free_start
     )
-    order = np.zeros(len(study.runs), np.int64)
-    order[: len(runs)] = runs
-    found = _linearise(
-        study.model,
-        point,
-        study.batch,
-        jnp.asarray(order),
-        jnp.asarray(len(runs)),
-        jnp.zeros(P),
-        jnp.zeros_like(study.batch.start),
-        study.accuracy,
-    )
-    return Linearised(*(np.asarray(part) for part in found))
+
+    def share(part: Sequence[int]) -> Linearised:
+        order = np.zeros(len(study.runs), np.int64)
+        order[: len(part)] = part
+        found = _linearise(
+            study.model,
+            point,
+            study.batch,
+            jnp.asarray(order),
+            jnp.asarray(len(part)),
+            jnp.zeros(width),
+            jnp.zeros_like(study.batch.start),
+            study.accuracy,
+        )
+        return Linearised(*(np.asarray(leaf) for leaf in found))
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        shares = list(pool.map(share, [list(runs)[k::THREADS] for k in range(THREADS)]))
+    return Linearised(*(sum(leaves[1:], leaves[0]) for leaves in zip(*shares, strict=True)))
 
 
 class Windows(eqx.Module):
@@ -118,8 +139,13 @@ class Windows(eqx.Module):
     study: Study
 
     @staticmethod
-    def of(model: Model, runs: Sequence[Run], noise: Noise, names: Sequence[str], length: float) -> "Windows":
-        """Windows of `length` [s] over `runs`; a run from rest keeps its first window at rest."""
+    def of(
+        model: Model, runs: Sequence[Run], noise: Noise, names: Sequence[str], width: int, length: float
+    ) -> "Windows":
+        """Windows of `length` [s] over `runs`; a run from rest keeps its first window at rest.
+
+        At most `width` of the movable `names` can settle at a time.
+        """
         pieces, starts, free = [], [], []
         for run in runs:
             guess = states(model, run)
@@ -129,7 +155,7 @@ class Windows(eqx.Module):
                 resting = k == 0 and not run.moving
                 starts.append(np.where([1, 1, 1, 0, 0, 0], guess[at], 0.0) if resting else guess[at])
                 free.append([1, 1, 1, 0, 0, 0] if resting else [1] * 6)
-        study = Study.of(model, pieces, noise, names, len(names), ACCURACY)
+        study = Study.of(model, pieces, noise, names, width, ACCURACY)
         study = eqx.tree_at(
             lambda s: (s.batch.start, s.batch.free_start),
             study,
@@ -137,9 +163,9 @@ class Windows(eqx.Module):
         )
         return Windows(study)
 
-    def at(self, values: Mapping[str, float], start: np.ndarray) -> Linearised:
-        """Residuals (W, n, 3) and the Jacobian by every name and by the start state."""
-        return wide(self.study, values, start, range(len(self.study.runs)))
+    def at(self, values: Mapping[str, float], start: np.ndarray, free: Sequence[str] | None = None) -> Linearised:
+        """Residuals (W, n, 3) and the Jacobian by `free` (default: every name) and by the start state."""
+        return linearised(self.study, values, start, range(len(self.study.runs)), free)
 
     def settle(
         self, values: Mapping[str, float], free: Sequence[str], start: np.ndarray | None = None, rounds: int = 12
@@ -149,11 +175,11 @@ class Windows(eqx.Module):
         The tyre is drawn towards what is typical, weakly, in proportion to how far off the model is.
         """
         study = self.study
-        columns = [study.names.index(name) for name in free]
+        columns = list(range(len(free)))
         domains = domains_of(study.model, free)
         now = dict(values)
         place = np.asarray(study.batch.start) if start is None else start
-        found = self.at(now, place)
+        found = self.at(now, place, free)
         cost, damping = self._total(found, now, free), 1e-4
         for _ in range(rounds if np.isfinite(cost) else 0):
             pull, strength = study.typical(now, free)
@@ -166,7 +192,7 @@ class Windows(eqx.Module):
                 shifted = now[name] * np.exp(move) if domain.multiplicative else now[name] + move
                 trial[name] = float(np.clip(shifted, domain.low, domain.high))
             there = place + moves
-            tried = self.at(trial, there)
+            tried = self.at(trial, there, free)
             better = self._total(tried, trial, free)
             if not better < cost * (1 + 1e-9):
                 damping *= 10
@@ -175,7 +201,7 @@ class Windows(eqx.Module):
                 continue
             gain, cost = cost - better, better
             now, place, found, damping = trial, there, tried, max(damping / 10, 1e-9)
-            if gain < 0.1:
+            if gain < max(0.1, ENOUGH * cost):
                 break
         return Settled(now, place, found, _cost(found))
 

@@ -1,0 +1,162 @@
+"""The missing force: recovered within its band, named by what it depends on, and written as an effect of one's own."""
+
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from snakejax._board import TABLE_II, Board
+from snakejax._case import load_case
+from snakejax._cli._models import effect_class
+from snakejax._cli._options import effect_spec
+from snakejax._diagnose import Bench, Step, structures
+from snakejax._effect import Force, Motion, Wrench
+from snakejax._gait import Gait, Sines, Tracked
+from snakejax._missing import FreeForce, Missing, Shape, missing_force, starter
+from snakejax._model import Model
+from snakejax._recording import Case, Noise, Run
+from snakejax._simulate import simulate
+from snakejax._tyre import Pacejka
+from snakejax._units import Scalar, own_parameters, param
+from snakejax.effects import LIBRARY
+
+NOISE = Noise(4e-4, 2.5e-3, "test")
+TYRE = Pacejka(B=6.0, C=1.4, D=7.0, E=0.0)
+GAITS = [
+    ([[0.9, 4.0, 0.0]], [[1.57, 4.0, 0.0]], (0.4, -0.3, 1.0)),
+    ([[0.5, 3.0, 0.0], [0.25, 0.6, 0.0]], [[1.5, 3.0, 0.0]], (-0.5, 0.6, -2.0)),
+    ([[0.5, 2.1, 0.0], [0.3, 3.7, 0.4]], [[1.2, 2.1, 0.2], [0.9, 4.3, 0.0]], (0.1, 0.9, 2.5)),
+]
+
+
+class Spring(Force):
+    """A spring to the point (0.5, 0.8) m of the floor."""
+
+    k: Scalar = param("N/m", default=0.3)
+
+    def wrench(self, motion: Motion) -> Wrench:
+        X, Y = motion.into_body(-self.k * (motion.x - 0.5), -self.k * (motion.y - 0.8))
+        return X, Y, jnp.zeros_like(X)
+
+
+def made(skid: str = "free", **effects) -> Case:
+    """Three runs of 6 s with `effects` hidden in them."""
+    board = Board(**TABLE_II, creep_speed=0.01)
+    model = Model(board, TYRE, skid).add(**effects)
+    times, draw, runs = jnp.arange(300) / 50, np.random.default_rng(3), []
+    for k, (phi, psi, start) in enumerate(GAITS):
+        gait = Gait(Tracked(Sines.of(phi), 100.0, 10.0), Tracked(Sines.of(psi), 100.0, 10.0))
+        pose = simulate(model, gait, times, start).pose + draw.normal(size=(300, 3)) * np.asarray(NOISE.channels)
+        runs.append(Run(f"run-{k}", "train", times, pose, gait))
+    return Case("made", "made", skid, board, tuple(runs), NOISE)
+
+
+def searched(case: Case) -> Missing:
+    bench = Bench.of(structures(case, "pacejka", None)[0][1], case, case.noise, {"yaw_bias": LIBRARY["yaw_bias"]()})
+    return missing_force(bench, Step((), SimpleNamespace(values=bench.study.values(), misfit=np.inf)))
+
+
+@pytest.fixture(scope="module")
+def spring() -> Missing:
+    return searched(made(spring=Spring()))
+
+
+def true_force(case: Case, missing: Missing) -> list[np.ndarray]:
+    """(X, Y) of the spring at the knots of each run, from the recorded pose."""
+    found = []
+    for run, force in zip(case.runs, missing.runs, strict=True):
+        x, y, heading = (np.interp(force.t, np.asarray(run.times), np.asarray(run.pose)[:, c]) for c in range(3))
+        east, north = -0.3 * (x - 0.5), -0.3 * (y - 0.8)
+        c, s = np.cos(heading), np.sin(heading)
+        found.append(np.stack([east * c + north * s, north * c - east * s], axis=1))
+    return found
+
+
+def test_a_free_force_is_linear_between_its_knots():
+    values = np.arange(12.0).reshape(4, 3) ** 2
+    force = FreeForce(jnp.asarray(2.0), jnp.asarray(0.5), jnp.asarray(values))
+    times = np.array([0.0, 2.0, 2.2, 2.75, 3.5, 9.0])
+    motion = Motion(*(None,) * len(Motion._fields))
+    found = np.array([force.wrench(motion._replace(time=jnp.asarray(t))) for t in times])
+    knots = 2.0 + 0.5 * np.arange(4)
+    np.testing.assert_allclose(found, np.stack([np.interp(times, knots, v) for v in values.T], axis=1), atol=1e-12)
+
+
+def test_the_force_is_recovered_within_its_band(spring):
+    truth = np.concatenate(true_force(made(spring=Spring()), spring))
+    force, sd = (np.concatenate([getattr(run, part)[:, :2] for run in spring.runs]) for part in ("force", "sd"))
+    assert np.corrcoef(force[:, 0], truth[:, 0])[0, 1] > 0.95
+    assert np.mean(np.abs(force - truth) < 3 * sd) > 0.9
+    assert spring.misfit[0] > 1.2 and abs(spring.misfit[1] - 1) < 0.15
+
+
+def test_a_spring_in_the_world_depends_on_the_place(spring):
+    assert spring.depends_on[0][0] == "world_position"
+    assert spring.depends_on[0][1] > 0.8
+    assert spring.shape.carrier == "world"
+
+
+@pytest.mark.slow
+def test_under_coupled_the_lateral_force_has_no_band():
+    found = searched(made("coupled", spring=Spring()))
+    assert np.isnan(np.concatenate([run.sd[:, 1] for run in found.runs])).all()
+    assert np.isfinite(np.concatenate([run.sd[:, [0, 2]] for run in found.runs])).all()
+    assert found.depends_on[0][0] == "world_position"
+
+
+VALUES = np.linspace(-3, 3, 25)
+SHAPES = {
+    "place": Shape("world_position", "place", "world", *(np.stack([VALUES, VALUES**2], 1),) * 2),
+    "grip": Shape("rotor_rate", "rotor_rate", "grip", VALUES, -0.3 * np.tanh(VALUES[:, None] ** 2)),
+    "slip": Shape("slip", "slip_angle", "grip", VALUES, 0.1 * VALUES[:, None]),
+    "turn": Shape("heading", "heading", "world", VALUES, np.stack([np.cos(VALUES), np.sin(VALUES)], 1)),
+    "phase": Shape("gait_phase", "gait_phase", "N", VALUES, np.cos(VALUES)[:, None]),
+    "drag": Shape("speed", "speed", "drag", VALUES, np.cos(VALUES)[:, None]),
+    "damping": Shape("slip", "slip_speed", "yaw_drag", VALUES, np.cos(VALUES)[:, None]),
+    "late": Shape("time", "time", "Y", VALUES, VALUES[:, None] ** 2),
+}
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_the_starter_loads_and_is_neutral_at_its_default(name, tmp_path):
+    text = starter(Missing((), ((SHAPES[name].variable, 1.0),), SHAPES[name], (9.0, 1.0)))
+    assert len(text.splitlines()) <= 30 and max(map(len, text.splitlines())) <= 120
+    (tmp_path / "mine.py").write_text(text)
+    kind = effect_class(effect_spec(f"{tmp_path / 'mine.py'}:MissingForce"))
+    model = Model(Board(**TABLE_II, creep_speed=0.01), TYRE, "free")
+    gait = Gait(Sines.of(GAITS[0][0]), Sines.of(GAITS[0][1]))
+    state = model.start_moving((0.4, -0.3, 1.0, 0.3, 0.05, 0.4), jnp.asarray(0.3), gait)
+    names = [part for part, _ in own_parameters(kind())]
+
+    def rates(step):
+        acting = model.add(mine=kind(**{part: step[k] for k, part in enumerate(names)}))
+        return jnp.stack(acting.rates(jnp.asarray(0.3), state, gait)[0])
+
+    zero = jnp.zeros(len(names))
+    np.testing.assert_allclose(rates(zero), jnp.stack(model.rates(jnp.asarray(0.3), state, gait)[0]), atol=1e-12)
+    slopes = jax.jacfwd(rates)(zero)
+    assert np.isfinite(slopes).all() and (np.abs(slopes).sum(axis=0) > 0).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("board", "variable"), [("board-j", "world_position"), ("board-d", "rotor_rate")])
+def test_what_a_recording_hides_is_named(recordings, board, variable):
+    """`board-j` hides a spring of 0.15 N/m to (0.5, 0.8) m, `board-d` a grip that falls with the rotor's rate."""
+    case = load_case(recordings / board)
+    bench = Bench.of(structures(case, "pacejka", None)[0][1], case, case.noise, {n: k() for n, k in LIBRARY.items()})
+    found = missing_force(bench, Step((), SimpleNamespace(values=bench.study.values(), misfit=np.inf)))
+    assert found.depends_on[0][0] == variable
+    assert found.depends_on[0][1] > max(0.6, found.depends_on[1][1] + 0.1)
+    assert found.misfit[1] < 1.1
+    if board != "board-j":
+        return
+    truth, estimate = [], []
+    for run, force in zip(case.having("train"), found.runs, strict=True):
+        seen = np.isfinite(np.asarray(run.pose)).all(axis=1)
+        t, pose = np.asarray(run.times)[seen], np.asarray(run.pose)[seen]
+        x, y, heading = (np.interp(force.t, t, pose[:, c]) for c in range(3))
+        truth.append(-0.15 * ((x - 0.5) * np.cos(heading) + (y - 0.8) * np.sin(heading)))
+        estimate.append(force.force[:, 0])
+    assert np.corrcoef(np.concatenate(estimate), np.concatenate(truth))[0, 1] > 0.95
