@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
+from scipy import stats
 
 from ._effect import Effect
 from ._fit import default_free, require_sensitive, require_sound, starting_model
@@ -14,7 +15,7 @@ from ._model import Model
 from ._recording import Case, Noise
 from ._score import ALPHA, Reduced, Scored, confusable, reduced, score
 from ._skid import Coupled
-from ._study import Optimum, Study
+from ._study import DEPENDENT, Optimum, Study
 from ._units import parameters
 from ._windows import Settled, Windows, linearised
 
@@ -192,16 +193,29 @@ def _settle_all(bench, found, remaining, fitted, values, start, misfit, dof, pro
 
     def settle(prospect: Prospect) -> Prospect:
         parts = remaining[prospect.score.effect]
-        best = bench.windows.settle(beside(prospect), [*fitted, *parts], start, rounds=8)
+        best = bench.windows.settle(beside(prospect), [*fitted, *parts], start, rounds=25)
         if best.cost / dof > misfit:
             return prospect._replace(misfit=misfit)
         changed = prospect.score._replace(values={n: best.values[n] for n in parts})
+        if prospect.score.effect in _probed(bench):
+            changed = _surer(changed, (misfit * dof - best.cost), best.cost / dof, len(parts), len(found))
         return Prospect(changed, best.values, best.cost / dof, best.start)
 
     with ThreadPoolExecutor(WORKERS) as pool:
         close = sorted(pool.map(settle, close), key=lambda p: p.misfit)
     done = {p.score.effect for p in close}
     return [*close, *(p for p in found if p.score.effect not in done)]
+
+
+def _surer(scored: Scored, fall: float, left: float, count: int, family: int) -> Scored:
+    """`scored` with the evidence of a settled fit, where it is the stronger: a candidate without a slope at its neutral
+    value has no score there. Errors that are more than noise depend on each other.
+    """
+    statistic = fall / (max(left, 1.0) * (1.0 if left < CLOSE else DEPENDENT))
+    if statistic <= scored.statistic:
+        return scored
+    p_value = min(1.0, family * float(stats.chi2.sf(statistic, count)))
+    return scored._replace(statistic=statistic, p_value=min(p_value, scored.p_value))
 
 
 class Suspects(NamedTuple):
@@ -238,7 +252,7 @@ def accomplices(
 def _grown(bench: Bench, suspects: Suspects, known: set[frozenset[str]]) -> list[Suspects]:
     """`suspects` and one more, for the few that promise most."""
     free = bench.free(suspects.effects)
-    settled = bench.windows.settle(suspects.values, free, suspects.start, rounds=4)
+    settled = bench.windows.settle(suspects.values, free, suspects.start, rounds=12)
     rest = on_windows(bench, settled.values, settled.start)
     dof = max(rest.residual.size - rest.lost - len(free), 1)
     remaining = {n: parts for n, parts in bench.candidates.items() if n not in suspects.effects}
@@ -247,7 +261,7 @@ def _grown(bench: Bench, suspects: Suspects, known: set[frozenset[str]]) -> list
 
     def settle(s: Scored) -> Suspects:
         begin = {**settled.values, **{n: _off_zero(bench, n, settled.values[n]) for n in s.values}}
-        best = bench.windows.settle(begin, [*free, *remaining[s.effect]], settled.start, rounds=8)
+        best = bench.windows.settle(begin, [*free, *remaining[s.effect]], settled.start, rounds=25)
         return Suspects((*suspects.effects, s.effect), best.values, best.cost / dof, best.start)
 
     with ThreadPoolExecutor(WORKERS) as pool:
@@ -258,7 +272,7 @@ def _settled(bench: Bench, step: Step, fitted: Sequence[str]) -> Settled:
     """The fitted parameters on the windows, from where they are and from where the tyre began."""
     fresh = {**step.optimum.values, **{n: bench.study.values()[n] for n in bench.tyre}}
     with ThreadPoolExecutor(WORKERS) as pool:
-        both = pool.map(lambda values: bench.windows.settle(values, fitted, rounds=8), (step.optimum.values, fresh))
+        both = pool.map(lambda values: bench.windows.settle(values, fitted, rounds=15), (step.optimum.values, fresh))
     return min(both, key=lambda s: s.cost)
 
 
@@ -302,7 +316,7 @@ def rank(
     sure = [p for p in found if p.score.p_value < ALPHA]
     best = min((p.misfit for p in sure), default=np.inf)
     # One that stays far behind the best on the windows is not worth the time of a refit.
-    shortlist = [p for p in sure if p.misfit - 1 < 3 * max(best - 1, 0.02)][:refitted]
+    shortlist = sorted((p for p in sure if p.misfit - 1 < 3 * max(best - 1, 0.02)), key=lambda p: p.misfit)[:refitted]
     progress(f"refitting {len(shortlist)} candidates on whole runs")
 
     def again(prospect: Prospect) -> Optimum:

@@ -24,6 +24,7 @@ from ._diagnose import (
 from ._effect import Effect
 from ._fit import Estimate, RunScore, Score, estimated, judged, pooled, run_scores, spread
 from ._least_squares import starts_removed
+from ._missing import Missing, missing_force
 from ._recording import Case, Noise
 from ._score import ALPHA
 from ._study import Optimum, inverse
@@ -61,7 +62,8 @@ class Explanation(eqx.Module):
     """The whole story: `stages[0]` is the base, the last one the final model.
 
     `verdict`: "adequate", "explained" or "unexplained". `effects`: what explains the recordings. `partial`: what helped
-    without explaining. `left_out`: candidates that do not apply, with the reason.
+    without explaining. `left_out`: candidates that do not apply, with the reason. `missing`: the force that the base
+    lacks, where nothing explains it; None where there is but one train run to learn it from.
     """
 
     case: Case
@@ -71,6 +73,7 @@ class Explanation(eqx.Module):
     effects: tuple[str, ...]
     partial: tuple[str, ...]
     left_out: dict[str, str]
+    missing: Missing | None
 
     @property
     def base(self) -> Stage:
@@ -174,6 +177,44 @@ def better(bench: Bench, now: Step, then: Step) -> bool:
     return left_out_misfit(bench, then) < present
 
 
+class Diagnosis(NamedTuple):
+    """The base, what its ranking says is missing, and the other skid structure beside it where there is one."""
+
+    base: Stage
+    switched: tuple[Bench, Step] | None
+
+
+def diagnose(
+    case: Case,
+    noise: Noise,
+    library: Mapping[str, Effect],
+    *,
+    kind: str = "pacejka",
+    skid: str | None = None,
+    with_: Sequence[str] = (),
+    switch: bool = True,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Diagnosis:
+    """Rank the effects of `library` by how well each would explain what the base model leaves of the train runs.
+
+    Nothing is added: all candidates are scored at the base fit, the best few refitted beside it.
+
+    **Arguments:** as in `explain`. **Raises:** `FitError` where the base cannot be fitted.
+    """
+    options = structures(case, kind, skid)[: 2 if switch else 1]
+    bench = Bench.of(options[0][1], case, noise, library)
+    step = Step(tuple(with_), base_fit(bench, with_, progress))
+    ranking = tuple(rank(bench, step, progress=progress))
+    switched = None
+    if len(options) > 1:
+        progress(f"refitting with {LATERAL_SKID}")
+        other = Bench.of(options[1][1], case, noise, library, switched=True)
+        there = Step(step.effects, base_fit(other, with_, progress))
+        ranking = _placed(ranking, Ranked(LATERAL_SKID, None, None, there.optimum, (), None))
+        switched = (other, there)
+    return Diagnosis(stage(bench, "base", "", step, ranking), switched)
+
+
 def explain(
     case: Case,
     noise: Noise,
@@ -190,40 +231,39 @@ def explain(
 
     **Arguments:** `kind`, `skid`: the base model; `with_`: effects in the base from the start; `switch`: whether the
     change of structure from coupled to free is a candidate; `progress` is told what is being done, `show` each stage.
+    **Raises:** `FitError` where the base cannot be fitted.
     """
-    options = structures(case, kind, skid)[: 2 if switch else 1]
-    bench = Bench.of(options[0][1], case, noise, library)
-    step = Step(tuple(with_), base_fit(bench, with_, progress))
-    ranking = tuple(rank(bench, step, progress=progress))
-    switched = None
-    if len(options) > 1 and not (only_noise(step.optimum) and not _significant(ranking)):
-        progress(f"refitting with {LATERAL_SKID}")
-        switched = Bench.of(options[1][1], case, noise, library, switched=True)
-        other = Step(step.effects, base_fit(switched, with_, progress))
-        ranking = _placed(ranking, Ranked(LATERAL_SKID, None, None, other.optimum, (), None))
-    stages = [stage(bench, "base", "", step, ranking)]
-    show(stages[-1])
-    if switched is not None:
-        best = min((r.refit_misfit for r in ranking if r.refit is not None), default=np.inf)
-        if other.optimum.misfit <= best and better_structure(step, other):
-            bench, step = switched, other
-            ranking = tuple(rank(bench, step, progress=progress))
-            stages.append(stage(bench, "added", LATERAL_SKID, step, ranking))
-            show(stages[-1])
-        elif not _ends_in_noise(ranking):
-            # Neither structure explains by itself: follow both, and keep the one that gets further.
-            here = _follow(bench, step, ranking, [], progress, lambda _: None)
-            there_rank = tuple(rank(switched, other, progress=progress))
-            first = stage(switched, "added", LATERAL_SKID, other, there_rank)
-            there = _follow(switched, other, there_rank, [first], progress, lambda _: None)
-            last_here = here[-1].step if here else step
-            chosen = there if there[-1].step.optimum.misfit < last_here.optimum.misfit else here
-            for s in chosen:
-                stages.append(s)
-                show(s)
-            return _concluded(case, noise, stages, bench)
-    stages += _follow(bench, step, ranking, [], progress, show)
-    return _concluded(case, noise, stages, bench)
+    found = diagnose(case, noise, library, kind=kind, skid=skid, with_=with_, switch=switch, progress=progress)
+    stages = [found.base]
+    show(found.base)
+    stages += _beyond(found, progress, show)
+    return _concluded(case, noise, stages, found.base.bench, progress)
+
+
+def _beyond(found: Diagnosis, progress, show) -> list[Stage]:
+    """The stages after the base."""
+    base = found.base
+    bench, step, ranking = base.bench, base.step, base.ranking
+    if only_noise(step.optimum) and not _significant(ranking):
+        return []
+    if found.switched is None:
+        return _follow(bench, step, ranking, [], progress, show)
+    best = min((r.refit_misfit for r in ranking if r.refit is not None), default=np.inf)
+    other, there = found.switched
+    if there.optimum.misfit <= best and better_structure(step, there):
+        first = stage(other, "added", LATERAL_SKID, there, rank(other, there, progress=progress))
+        show(first)
+        return _follow(other, there, first.ranking, [first], progress, show)
+    here = _follow(bench, step, ranking, [], progress, lambda _: None)
+    if not (here and only_noise(here[-1].step.optimum)):
+        # This structure does not explain by itself: follow the other one too, and keep what gets further.
+        first = stage(other, "added", LATERAL_SKID, there, rank(other, there, progress=progress))
+        beside = _follow(other, there, first.ranking, [first], progress, lambda _: None)
+        reached = here[-1].step.optimum.misfit if here else step.optimum.misfit
+        here = beside if beside[-1].step.optimum.misfit < reached else here
+    for one in here:
+        show(one)
+    return here
 
 
 def _follow(bench, step, ranking, before, progress, show) -> list[Stage]:
@@ -335,11 +375,16 @@ def _placed(ranking: Sequence[Ranked], new: Ranked) -> tuple[Ranked, ...]:
     return (*(r for _, r in sorted(refitted, key=lambda pair: pair[0])), *(r for r in ranking if r.refit is None))
 
 
-def _concluded(case: Case, noise: Noise, stages: list[Stage], base: Bench) -> Explanation:
+def _concluded(case: Case, noise: Noise, stages: list[Stage], base: Bench, progress) -> Explanation:
     last = stages[-1]
     clean = only_noise(last.step.optimum) and heldout_noise(last.bench, last.step, last.judgement)
     if clean:
-        verdict, effects, partial = ("explained" if last.effects else "adequate"), last.effects, ()
-    else:
-        verdict, effects, partial = "unexplained", (), last.effects
-    return Explanation(case, noise, tuple(stages), verdict, effects, partial, dict(base.left_out))
+        verdict = "explained" if last.effects else "adequate"
+        return Explanation(case, noise, tuple(stages), verdict, last.effects, (), dict(base.left_out), None)
+    missing = None
+    if len(last.bench.train) > 1:
+        progress("estimating the missing force")
+        # Helpers that do not explain would hide a part of it, so it is counted from the structure alone.
+        bare = next(stage for stage in stages if stage.bench is last.bench)
+        missing = missing_force(bare.bench, bare.step, progress)
+    return Explanation(case, noise, tuple(stages), "unexplained", (), last.effects, dict(base.left_out), missing)

@@ -293,10 +293,14 @@ def solve(
 def starts_removed(
     found: Linearised, run: int, width: int, free_start: np.ndarray
 ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N K"]]:
-    """Residual and parameter columns of one run, with what its free start components explain projected out."""
+    """Residual and parameter columns of one run, with what its free start components explain projected out.
+
+    A component that moves nothing, such as the memory of an effect at its neutral value, explains nothing.
+    """
     r = np.asarray(found.residual[run]).reshape(-1)
     J = np.asarray(found.jacobian[run]).reshape(r.size, -1)
-    q, _ = np.linalg.qr(J[:, width:][:, free_start[run] > 0])
+    felt = (free_start[run] > 0) & ((J[:, width:] ** 2).sum(axis=0) > 0)
+    q, _ = np.linalg.qr(J[:, width:][:, felt])
     return r - q @ (q.T @ r), J[:, :width] - q @ (q.T @ J[:, :width])
 
 

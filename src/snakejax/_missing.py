@@ -35,8 +35,8 @@ SPACING = 0.1
 ACCURACY = Accuracy(rtol=1e-6, atol=1e-8, max_steps=6000, derivative="forward")
 """Finer than windows otherwise need: the steps of the solver must not jump over a knot."""
 ROUNDS = 14
-REACH = np.array([0.05, 0.05, 0.2, 0.1, 0.1, 0.5])
-"""How far one step moves a start state, m, rad, m/s, rad/s: some of its directions are forgotten at once."""
+REACH, MEMORY = np.array([0.05, 0.05, 0.2, 0.1, 0.1, 0.5]), 0.1
+"""How far one step moves a start state, m, rad, m/s, rad/s, and the memory of a tyre [rad]."""
 
 ENOUGH = 1e-3
 """The estimate ends where a step lowers the total by less than this share of it."""
@@ -206,7 +206,7 @@ def missing_force(bench: Bench, step: Step, progress: Callable[[str], None] = la
     fresh = {} if near else {name: value for name, value in bench.study.values().items() if name in bench.tyre}
     settled = bench.windows.settle({**step.optimum.values, **fresh}, free)
     drive = _Drive.of(bench, step.effects, settled.values, free)
-    now = drive.settled(settled.start)
+    now = drive.settled(settled.start[:, : 6 + drive.model.memories])
     progress("what does the missing force depend on?")
     depends_on, shape = _dependence(drive, now)
     samples = float((np.asarray(drive.batch.weight) > 0).sum())
@@ -313,7 +313,12 @@ class _Drive(eqx.Module):
         first = np.floor((times - began[owner]) / SPACING + 1e-6).astype(int)
         length = max(float(window.times[-1] - window.times[0]) for window in study.runs)
         count = int(np.ceil(length / SPACING)) + 2
-        return _Drive(model, tuple(free), study.batch, owner, runs, began, ended, first, count, study)
+        batch = eqx.tree_at(
+            lambda b: (b.start, b.free_start),
+            study.batch,
+            (study.batch.start[:, : 6 + model.memories], study.batch.free_start[:, : 6 + model.memories]),
+        )
+        return _Drive(model, tuple(free), batch, owner, runs, began, ended, first, count, study)
 
     def typical(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The steps (P,) from `values` to what is typical, and one over their variance."""
@@ -360,7 +365,8 @@ class _Drive(eqx.Module):
             P, S, F, G = (-part[k].reshape(rows, -1) for part in found[1:5])
             seen = np.abs(S).sum(axis=1) > 0
             r, P, S, F, G = (part[seen] for part in (r, P, S, F, G))
-            brake = np.diag(1 / REACH)[:, free_start[k] > 0]
+            reach = np.append(REACH, np.full(self.model.memories, MEMORY))
+            brake = np.diag(1 / reach)[:, free_start[k] > 0]
             q, t = np.linalg.qr(np.concatenate([S[:, free_start[k] > 0], brake]))
             y = r + F @ self.local(force, k).reshape(-1)
             whole = np.concatenate([y[:, None], F, G, P], axis=1)

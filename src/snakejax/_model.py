@@ -87,12 +87,25 @@ class Model(eqx.Module):
         return self.skid.at_rest(*pose), lags
 
     def start_moving(self, start: tuple[Scalar, ...], t: Scalar, gait: Gait) -> State:
-        """The state of this board under way at time `t`; `start` as in `AbstractSkid.under_way`."""
+        """The state of this board under way at time `t`; the first six of `start` as in `AbstractSkid.under_way`.
+
+        The others, if any, are how far [rad] each effect with memory is from the slip angle, wheelset by wheelset.
+        """
         board, _, _, steered = self._steered(t, gait)
-        body = self.skid.under_way(start, board, steered)
+        body = self.skid.under_way(start[:6], board, steered)
         motion = self.motion(t, body, gait)
-        slips = tuple(slip_angle(wheel.lateral, wheel.rolling, self.board.creep_speed) for wheel in motion.wheels)
-        return body, tuple(slips for _ in self.plugged(Memory))
+        slips = [slip_angle(wheel.lateral, wheel.rolling, self.board.creep_speed) for wheel in motion.wheels]
+        behind = list(start[6:]) or [jnp.zeros_like(t)] * self.memories
+        count = len(slips)
+        return body, tuple(
+            tuple(slip + d for slip, d in zip(slips, behind[count * k : count * (k + 1)], strict=True))
+            for k in range(len(self.plugged(Memory)))
+        )
+
+    @property
+    def memories(self) -> int:
+        """How many states the effects with memory add."""
+        return len(self.plugged(Memory)) * len(self.board.wheelsets)
 
     def motion(self, t: Scalar, body: tuple[Scalar, ...], gait: Gait) -> Motion:
         """Everything the effects may ask about one instant."""

@@ -61,7 +61,8 @@ def reduced(
         columns.append(J[seen])
         blocks.append(count + block)
         count = int(blocks[-1].max()) + 1
-    lost = int(free_start[list(runs)].sum())
+    felt = (found.jacobian[list(runs)][..., width:] ** 2).sum(axis=(1, 2)) > 0
+    lost = int((felt & (free_start[list(runs)] > 0)).sum())
     return Reduced(np.concatenate(rows), np.concatenate(columns), np.concatenate(blocks), lost)
 
 

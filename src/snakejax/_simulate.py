@@ -58,13 +58,14 @@ def simulate(
 
     **Arguments:** `times` [s] (n,), increasing. `start`: (x [m], y [m], heading [rad]) of a board at rest at time 0; or
     six numbers, (x, y, heading, u, w, r) under `free` and (x, y, heading, u, beta, s) under `coupled`, of a board under
-    way at `times[0]`. `throw`: raise where the solver fails, else say so in the result.
+    way at `times[0]`, and then, if wanted, the memories of `Model.start_moving`. `throw`: raise where the solver fails,
+    else say so in the result.
 
     **Raises:** `RuntimeError` without double precision; the solver's error where it cannot reach the accuracy.
     """
     require_x64()
     times, start = jnp.asarray(times), jnp.asarray(start, jnp.float64)
-    if start.shape not in ((3,), (6,)):
+    if start.shape not in ((3,), (6,), (6 + model.memories,)):
         raise ValueError(f"Argument `start` must have 3 or 6 numbers, but its shape is {start.shape}.")
     delayed = times - model.delay()
     if start.shape == (3,):
@@ -72,7 +73,7 @@ def simulate(
         state = model.start((start[0], start[1], start[2]))
     else:
         t0 = delayed[0]
-        state = model.start_moving(tuple(start[k] for k in range(6)), t0, gait)
+        state = model.start_moving(tuple(start[k] for k in range(start.shape[0])), t0, gait)
     states, finished = _integrate(model, gait, state, t0, delayed, accuracy, throw)
     pose = jnp.stack(model.observe(states[0]), axis=-1)
     return Trajectory(times, jnp.where(finished, pose, jnp.inf), states, delayed, finished)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 
+import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text
 
@@ -20,24 +21,36 @@ from ._json import (
     runs_json,
     skid_kind,
 )
+from ._missing import RunForce
+from ._recording import Case, Noise
+from ._score import ALPHA
 from ._text import add_row, misfit_text, number, plain_table
 from ._units import parameters
 
 
+def diagnosis_json(case: Case, noise: Noise, base: Stage, provenance: Json, seconds: Json | None = None) -> Json:
+    """The result of `snakejax diagnose`: what an explanation says of the base."""
+    return clean(
+        {
+            **heading_json(case.name, base.bench.study.model, noise, provenance),
+            "base": {
+                "parameters": parameters_json(_tyre(base)),
+                "misfit": misfit_json(base.train, base.heldout),
+                "rmse": rmse_json(base.train, base.heldout),
+            },
+            "runs": runs_json(base.runs),
+            "ranking": [ranked_json(r, base) for r in base.ranking],
+            "left_out": [{"effect": name, "why": why} for name, why in base.bench.left_out.items()],
+            "seconds": seconds,
+        }
+    )
+
+
 def explanation_json(found: Explanation, provenance: Json, seconds: Json | None = None) -> Json:
     """The result of `snakejax explain`."""
-    base, final = found.base, found.final
-    model = base.bench.study.model
+    final = found.final
     result = {
-        **heading_json(found.case.name, model, found.noise, provenance),
-        "base": {
-            "parameters": parameters_json(_tyre(base)),
-            "misfit": misfit_json(base.train, base.heldout),
-            "rmse": rmse_json(base.train, base.heldout),
-        },
-        "runs": runs_json(base.runs),
-        "ranking": [ranked_json(r, base) for r in base.ranking],
-        "left_out": [{"effect": name, "why": why} for name, why in found.left_out.items()],
+        **diagnosis_json(found.case, found.noise, found.base, provenance),
         "steps": [step_json(stage) for stage in found.stages[1:]],
         "verdict": found.verdict,
         "effects": list(found.effects),
@@ -50,13 +63,29 @@ def explanation_json(found: Explanation, provenance: Json, seconds: Json | None 
             "rmse": rmse_json(final.train, final.heldout),
             "runs": runs_json(final.runs),
         },
-        "unexplained": None,
+        "unexplained": unexplained_json(found) if found.verdict == "unexplained" else None,
         "seconds": seconds,
     }
-    if found.verdict == "unexplained":
-        left = misfit_json(final.train, final.heldout)
-        result["unexplained"] = {"misfit": left, "partial": list(found.partial), "force": None, "depends_on": None}
     return clean(result)
+
+
+def unexplained_json(found: Explanation) -> Json:
+    """What is left, which effects helped, and the missing force with what it depends on."""
+    missing = found.missing
+    return {
+        "misfit": misfit_json(found.final.train, found.final.heldout),
+        "partial": list(found.partial),
+        "force": None if missing is None else [_force_json(run) for run in missing.runs],
+        "depends_on": None
+        if missing is None
+        else [{"variable": variable, "share": share} for variable, share in missing.depends_on],
+    }
+
+
+def _force_json(run: RunForce) -> Json:
+    columns = {name: run.force[:, k].tolist() for k, name in enumerate("XYN")}
+    sd = {f"sd_{name}": run.sd[:, k].tolist() for k, name in enumerate("XYN")}
+    return {"run": run.run, "t": run.t.tolist(), **columns, **sd}
 
 
 def _tyre(stage: Stage) -> dict[str, Json]:
@@ -135,7 +164,35 @@ def explanation_text(found: Explanation) -> RenderableType:
     lines: list[RenderableType] = [Text(headline(found)), Text(""), table]
     for effect in found.effects or found.partial:
         lines.append(Text(f"{effect}: {sentence(effect, found.final)} {_values(_of(effect, found.final))}"))
+    if found.missing is not None:
+        lines += [Text(""), _dependence(found)]
     lines += [Text(""), _suspects(found.base)]
+    return Group(*lines)
+
+
+def _dependence(found: Explanation) -> RenderableType:
+    """How large the missing force is, and what it depends on."""
+    missing = found.missing
+    assert missing is not None
+    force = np.concatenate([run.force[:, [0, 2]] for run in missing.runs])
+    push, turn = np.sqrt(np.nanmean(force**2, axis=0))
+    table = plain_table("the missing force depends on", "share", right=("share",))
+    for variable, share in missing.depends_on[:4]:
+        add_row(table, variable, f"{100 * share:.0f} %")
+    size = f"The missing force is {number(push)} N along the board and {number(turn)} N m in yaw (root mean square)."
+    return Group(Text(size), table)
+
+
+def diagnosis_text(case: Case, base: Stage) -> RenderableType:
+    """The base misfit and the candidates, the confusable ones named."""
+    held = "" if base.heldout is None else f", on held-out runs {misfit_text(base.heldout.misfit)}"
+    head = f"{case.name}: the base leaves a misfit of {misfit_text(base.train.misfit)}{held} (1 is noise)."
+    lines: list[RenderableType] = [Text(head), Text(""), _suspects(base, 10)]
+    for ranked in base.ranking[:3]:
+        if ranked.confusable_with:
+            lines.append(Text(f"These runs cannot tell {ranked.effect} from {', '.join(ranked.confusable_with)}."))
+    if not any(r.score is not None and r.score.p_value < ALPHA for r in base.ranking):
+        lines.append(Text(f"No candidate is significant at {ALPHA:g}, corrected for their number."))
     return Group(*lines)
 
 
@@ -161,9 +218,11 @@ def headline(found: Explanation) -> str:
     return f"{found.case.name}: unexplained. Nothing known leaves only noise.{helped}"
 
 
-def _suspects(stage: Stage) -> RenderableType:
-    table = plain_table("candidate at the base", "p", "predicted", "refitted", right=("p", "predicted", "refitted"))
-    for ranked in stage.ranking[:6]:
+def _suspects(stage: Stage, most: int = 6) -> RenderableType:
+    titles = ("p", "predicted", "refitted")
+    table = plain_table("candidate at the base", *titles, "expected", right=titles)
+    for ranked in stage.ranking[:most]:
         p_value = "" if ranked.score is None else f"{ranked.score.p_value:.1g}"
-        add_row(table, ranked.effect, p_value, misfit_text(ranked.predicted_misfit), misfit_text(ranked.refit_misfit))
+        misfits = misfit_text(ranked.predicted_misfit), misfit_text(ranked.refit_misfit)
+        add_row(table, ranked.effect, p_value, *misfits, _values(expected(ranked, stage)))
     return table

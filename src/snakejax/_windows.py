@@ -27,6 +27,9 @@ ACCURACY = Accuracy(rtol=3e-6, atol=3e-8, max_steps=4000, derivative="forward")
 THREADS = 2
 ENOUGH = 0.003
 """A round that lowers the cost by less than this share is the last."""
+START_ROUNDS = 6
+LOST = 2.0
+"""A window whose cost rises by more than this factor has lost the track of its start."""
 SMOOTHING = 0.12
 """Half width [s] of the cubic through the samples that gives the velocities at the start of a window."""
 
@@ -147,14 +150,16 @@ class Windows(eqx.Module):
         At most `width` of the movable `names` can settle at a time.
         """
         pieces, starts, free = [], [], []
+        memories = model.memories
         for run in runs:
             guess = states(model, run)
             for k, window in enumerate(cut(run, length)):
                 pieces.append(window)
                 at = int(np.searchsorted(np.asarray(run.times), float(window.times[0]) - 1e-9))
                 resting = k == 0 and not run.moving
-                starts.append(np.where([1, 1, 1, 0, 0, 0], guess[at], 0.0) if resting else guess[at])
-                free.append([1, 1, 1, 0, 0, 0] if resting else [1] * 6)
+                began = np.where([1, 1, 1, 0, 0, 0], guess[at], 0.0) if resting else guess[at]
+                starts.append([*began, *[0.0] * memories])
+                free.append([1] * 3 + [0 if resting else 1] * (3 + memories))
         study = Study.of(model, pieces, noise, names, width, ACCURACY)
         study = eqx.tree_at(
             lambda s: (s.batch.start, s.batch.free_start),
@@ -172,20 +177,20 @@ class Windows(eqx.Module):
     ) -> "Settled":
         """Gauss-Newton on the windows: `free` parameters of all, start state of each, eliminated window by window.
 
-        The tyre is drawn towards what is typical, weakly, in proportion to how far off the model is.
+        The tyre is drawn towards what is typical, weakly, in proportion to how far off the model is. A window whose
+        start does not follow a step of the parameters is settled again by itself before the step is judged.
         """
         study = self.study
-        columns = list(range(len(free)))
         domains = domains_of(study.model, free)
         now = dict(values)
         place = np.asarray(study.batch.start) if start is None else start
-        found = self.at(now, place, free)
+        place, found = self._started(now, free, place, self.at(now, place, free), range(len(study.runs)))
         cost, damping = self._total(found, now, free), 1e-4
-        for _ in range(rounds if np.isfinite(cost) else 0):
+        for _ in range(rounds if free and np.isfinite(cost) else 0):
             pull, strength = study.typical(now, free)
             weight = DEPENDENT * max(1.0, cost / max(found.residual.size, 1))
             prior = (pull[: len(free)], weight * strength[: len(free)] ** 2)
-            step, moves = _newton(found, columns, study.width, np.asarray(study.batch.free_start), damping, prior)
+            step, moves = _newton(found, len(free), study.width, np.asarray(study.batch.free_start), damping, prior)
             trial = dict(now)
             for name, domain, move in zip(free, domains, step, strict=True):
                 move = float(np.clip(move, -1.0, 1.0)) if domain.multiplicative else float(move)
@@ -193,6 +198,8 @@ class Windows(eqx.Module):
                 trial[name] = float(np.clip(shifted, domain.low, domain.high))
             there = place + moves
             tried = self.at(trial, there, free)
+            lost = np.flatnonzero(~(_each(tried) < LOST * _each(found) + tried.residual[0].size))
+            there, tried = self._started(trial, free, there, tried, lost)
             better = self._total(tried, trial, free)
             if not better < cost * (1 + 1e-9):
                 damping *= 10
@@ -205,6 +212,38 @@ class Windows(eqx.Module):
                 break
         return Settled(now, place, found, _cost(found))
 
+    def _started(self, values, free, place, found: Linearised, which) -> tuple[np.ndarray, Linearised]:
+        """The windows numbered `which` with starts settled one by one, the parameters fixed."""
+        which, place = np.asarray(which, int), place.copy()
+        residual, jacobian = found.residual.copy(), found.jacobian.copy()
+        free_start = np.asarray(self.study.batch.free_start)
+        width, damping = self.study.width, np.full(len(place), 1e-4)
+        for _ in range(START_ROUNDS):
+            if not which.size:
+                break
+            there, promise = place.copy(), np.zeros(len(place))
+            for k in which:
+                r, S = residual[k].reshape(-1), jacobian[k].reshape(residual[k].size, -1)[:, width:]
+                open_ = (free_start[k] > 0) & ((S**2).sum(axis=0) > 0)
+                if np.isfinite(r).all() and open_.any():
+                    S = S[:, open_]
+                    brake = np.diag(np.sqrt(damping[k] * (S**2).sum(axis=0)))
+                    move = np.linalg.lstsq(
+                        np.concatenate([S, brake]), np.concatenate([-r, np.zeros(len(brake))]), rcond=1e-12
+                    )[0]
+                    there[k, open_] += move
+                    promise[k] = (r @ r) - ((r + S @ move) ** 2).sum()
+            which = which[promise[which] > ENOUGH * (residual[which] ** 2).sum(axis=(1, 2)) + 0.1]
+            if not which.size:
+                break
+            tried = linearised(self.study, values, there, which, free)
+            gone = (residual**2).sum(axis=(1, 2))
+            fell = np.array([k for k in which if (tried.residual[k] ** 2).sum() < gone[k]], int)
+            place[fell], residual[fell], jacobian[fell] = there[fell], tried.residual[fell], tried.jacobian[fell]
+            damping[which] *= 10
+            damping[fell] /= 100
+        return place, Linearised(residual, jacobian)
+
     def _total(self, found: Linearised, values: Mapping[str, float], free: Sequence[str]) -> float:
         """Cost of the residuals and of the distance from what is typical, as `Study.plausibility` weighs them."""
         pull, strength = self.study.typical(values, free)
@@ -212,19 +251,24 @@ class Windows(eqx.Module):
         return _cost(found) * (1.0 + DEPENDENT * far / max(found.residual.size, 1))
 
 
+def _each(found: Linearised) -> np.ndarray:
+    """Cost of each window."""
+    return np.asarray((found.residual**2).sum(axis=(1, 2)))
+
+
 def _cost(found: Linearised) -> float:
     cost = float((found.residual**2).sum())
     return cost if np.isfinite(cost) else np.inf
 
 
-def _newton(found: Linearised, columns: list[int], width: int, free_start: np.ndarray, damping: float, prior):
-    """Steps (K,) of the parameters in `columns` and (W, S) of the start states; `prior` is (mean, 1 / variance)."""
+def _newton(found: Linearised, count: int, width: int, free_start: np.ndarray, damping: float, prior):
+    """Steps (K,) of the first `count` parameters and (W, S) of the start states; `prior` is (mean, 1 / variance)."""
     parts = []
-    count = len(columns)
     normal, right = np.zeros((count, count)), np.zeros(count)
     for k, (r, J) in enumerate(zip(found.residual, found.jacobian, strict=True)):
         r, J = r.reshape(-1), J.reshape(-1, J.shape[-1])
-        G, open_ = J[:, columns], free_start[k] > 0
+        G, open_ = J[:, :count], free_start[k] > 0
+        open_ &= (J[:, width:] ** 2).sum(axis=0) > 0
         S = J[:, width:][:, open_]
         brake = np.diag(np.sqrt(damping * (S**2).sum(axis=0)))
         # The damping of the start states as rows of their own.

@@ -1,6 +1,7 @@
 """`snakejax explain`: the whole loop, from the first misfit to what was missing."""
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 from .._errors import InputError, instead_of
@@ -20,6 +21,11 @@ def add(commands: Any) -> None:
         "snakejax explain data/tilted-floor --json -",
     )
     add_cases(command)
+    add_candidates(command)
+
+
+def add_candidates(command: argparse.ArgumentParser) -> None:
+    """The options that say which base and which candidates; `diagnose` has them too."""
     command.add_argument("--model", choices=("pacejka", "rayleigh"), default="pacejka", help="tyre law to start from")
     command.add_argument("--skid", choices=SKIDS[:2], help="skid structure to start from (default that of CASE)")
     command.add_argument("--effect", metavar="FILE.py:Class", action="append", help="one more candidate of your own")
@@ -50,26 +56,34 @@ def library(options: argparse.Namespace) -> dict[str, Any]:
     return {name: effect for name, effect in found.items() if name not in (options.without or ())}
 
 
+def wanted(options: argparse.Namespace) -> dict[str, Any]:
+    """The options of `explain()` and `diagnose()`."""
+    from .._diagnose import LATERAL_SKID
+
+    with_ = options.with_ or []
+    return {
+        "kind": options.model,
+        "skid": "free" if LATERAL_SKID in with_ else options.skid,
+        "with_": [name for name in with_ if name != LATERAL_SKID],
+        "switch": LATERAL_SKID not in (options.without or ()),
+    }
+
+
 def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     """Explain one case."""
     from .._check import estimate_noise
-    from .._diagnose import LATERAL_SKID
     from .._explain import explain
-    from .._json import provenance_json
+    from .._json import provenance_json, write_whole
+    from .._missing import starter
     from .._story import explanation_json, explanation_text
 
     clock = Clock()
     noise = case.noise or estimate_noise(case.runs)
-    with_ = options.with_ or []
-    found = explain(
-        case,
-        noise,
-        library(options),
-        kind=options.model,
-        skid="free" if LATERAL_SKID in with_ else options.skid,
-        with_=[name for name in with_ if name != LATERAL_SKID],
-        switch=LATERAL_SKID not in (options.without or ()),
-        progress=say,
-    )
+    found = explain(case, noise, library(options), **wanted(options), progress=say)
     provenance = provenance_json(options.seed, given(options), case.sha256)
-    return Outcome(explanation_json(found, provenance, clock.seconds()), explanation_text(found))
+
+    def write(folder: Path) -> None:
+        if found.missing is not None and found.missing.shape is not None:
+            write_whole(folder / "missing_force.py", starter(found.missing))
+
+    return Outcome(explanation_json(found, provenance, clock.seconds()), explanation_text(found), write)

@@ -1,0 +1,42 @@
+"""`snakejax diagnose`: which effect is missing, ranked, nothing added."""
+
+import argparse
+from typing import Any
+
+from ._options import add_cases, add_command, given
+from ._setup import Clock, Outcome, Say, each_case
+from .explain import add_candidates, library, wanted
+
+
+def add(commands: Any) -> None:
+    """The command's options."""
+    command = add_command(
+        commands,
+        "diagnose",
+        run,
+        "rank the physical effects that may be missing",
+        "Score every known effect beside the base fit, without adding any, and refit the\n"
+        "best few: how sure each is, the value to expect, the misfit it would leave.",
+        "snakejax diagnose data/tilted-floor",
+    )
+    add_cases(command)
+    add_candidates(command)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Diagnose each CASE."""
+    return each_case(options, lambda case, say: work(options, case, say))
+
+
+def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
+    """Diagnose one case."""
+    from .._check import estimate_noise
+    from .._explain import diagnose
+    from .._json import provenance_json
+    from .._story import diagnosis_json, diagnosis_text
+
+    clock = Clock()
+    noise = case.noise or estimate_noise(case.runs)
+    base = diagnose(case, noise, library(options), **wanted(options), progress=say).base
+    provenance = provenance_json(options.seed, given(options), case.sha256)
+    return Outcome(diagnosis_json(case, noise, base, provenance, clock.seconds()), diagnosis_text(case, base))
