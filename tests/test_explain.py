@@ -1,33 +1,11 @@
-"""The loop on recordings with a hidden effect: the effect by name, its value, the fall of the error."""
-
-from pathlib import Path
+"""The score tests the loop rests on; the loop itself is tested where it is taught, in `test_studies.py`."""
 
 import numpy as np
 import pytest
 
-from snakejax._case import load_case
-from snakejax._explain import explain, noise_band
+from snakejax._explain import noise_band
 from snakejax._score import Reduced, confusable, score
-from snakejax.effects import LIBRARY, GroundSlope, YawBias
-
-DATA = Path(__file__).resolve().parents[1] / "data"
-
-
-def library():
-    return {name: kind() for name, kind in LIBRARY.items()}
-
-
-@pytest.mark.slow
-def test_a_tilted_floor_is_found_and_explains_the_recording():
-    """`tilted-floor` was made on a floor that rises by 3 mm/m along x and falls by 2 mm/m along y."""
-    case = load_case(DATA / "tilted-floor")
-    found = explain(case, case.noise, library())
-    assert (found.verdict, found.effects) == ("explained", ("ground_slope",))
-    assert found.base.train.misfit > 1000
-    assert found.final.train.misfit <= 1.05 and found.final.heldout.misfit <= 1.10
-    for name, truth in (("sx", 0.003), ("sy", -0.002)):
-        estimate = found.final.estimates[f"effects.ground_slope.{name}"]
-        assert abs(estimate.value - truth) < 3 * estimate.sd
+from snakejax.effects import GroundSlope, YawBias
 
 
 def simulated(size, seed=0):

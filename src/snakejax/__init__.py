@@ -28,6 +28,11 @@ if TYPE_CHECKING:
     from ._effect import Sensor as Sensor
     from ._effect import Wheel as Wheel
     from ._errors import InputError as InputError
+    from ._explain import Diagnosis as Diagnosis
+    from ._explain import Explanation as Explanation
+    from ._explain import Stage as Stage
+    from ._explain import diagnose as diagnose
+    from ._explain import explain as explain
     from ._fit import Fit as Fit
     from ._fit import FitError as FitError
     from ._fit import fit as fit
@@ -37,6 +42,8 @@ if TYPE_CHECKING:
     from ._gait import Logged as Logged
     from ._gait import Sines as Sines
     from ._gait import Tracked as Tracked
+    from ._missing import Missing as Missing
+    from ._missing import starter as starter
     from ._model import Model as Model
     from ._prepare import prepare_jax as prepare_jax
     from ._presets import Preset as Preset
@@ -60,8 +67,10 @@ _HOMES = {
     "_check": "check estimate_noise",
     "_effect": "Clock Command Effect Floor Force Grip Layout Linkage Memory Motion Rolling Sensor Wheel",
     "_errors": "InputError",
+    "_explain": "Diagnosis Explanation Stage diagnose explain",
     "_fit": "Fit FitError fit profile starting_model",
     "_gait": "Gait Logged Sines Tracked",
+    "_missing": "Missing starter",
     "_model": "Model",
     "_prepare": "prepare_jax",
     "_presets": "Preset preset",

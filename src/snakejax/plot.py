@@ -1,4 +1,7 @@
-"""Figures of a fit, with matplotlib and no display. Each function returns the figure; `save` writes it."""
+"""Figures of a fit and of an explanation, with matplotlib and no display.
+
+Each function returns the figure; `save` writes it.
+"""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -8,10 +11,12 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ._explain import Explanation, Stage
 from ._fit import Fit
 from ._replay import fitted_poses
 
 MEASURED, MODELLED, GAP = "0.45", "#c2410c", "0.9"
+BASE, TRAIN, HELDOUT = "#2563eb", "#475569", "#c2410c"
 CHANNELS = ("x", "y", "heading")
 HEADING_MARKS = 12
 
@@ -87,6 +92,90 @@ def _residuals(found: Fit) -> list[Float[np.ndarray, "n 3"]]:
         np.where(np.isfinite(np.asarray(run.pose)), mine[: run.times.shape[0]], np.nan)
         for run, mine in zip(found.study.runs, residual, strict=True)
     ]
+
+
+def fall(found: Explanation) -> Figure:
+    """The story of an explanation: the held-out path before and after, and the error falling step by step.
+
+    Left, one held-out run (or train run where none is held out) as measured, by the base model and by the final one,
+    x against y [m]. Right, the misfit of train and held-out runs at each step, on a logarithmic scale, and the noise.
+    """
+    figure = Figure(figsize=(10.0, 4.2), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.2))
+    study = found.base.bench.study
+    held = study.numbered("heldout")
+    shown = (held or study.numbered("train"))[0]
+    run = study.runs[shown]
+    seen = np.asarray(run.pose)
+    left.plot(seen[:, 0], seen[:, 1], color=MEASURED, lw=4, alpha=0.6, label="measured")
+    for stage, colour, name in ((found.base, BASE, "base model"), (found.final, MODELLED, _effects_of(found))):
+        pose = _modelled(stage, shown)
+        left.plot(pose[:, 0], pose[:, 1], color=colour, lw=1.2, label=name)
+        if found.final is found.base:
+            break
+    left.set(title=_title(run.name, run.role), xlabel="x [m]", ylabel="y [m]")
+    left.set_aspect("equal", adjustable="datalim")
+    left.legend(fontsize="small")
+    places = np.arange(len(found.stages))
+    for shift, colour, name, scores in (
+        (-0.2, TRAIN, "train", [stage.train for stage in found.stages]),
+        (0.2, HELDOUT, "held out", [stage.heldout for stage in found.stages]),
+    ):
+        misfits = [np.nan if score is None else score.misfit for score in scores]
+        bars = right.bar(places + shift, misfits, 0.38, color=colour, label=name)
+        right.bar_label(bars, [f"{value:.3g}" if np.isfinite(value) else "" for value in misfits], fontsize="small")
+    right.axhline(1.0, color="0.2", lw=1, ls=":", label="noise")
+    right.set_yscale("log")
+    right.set_xticks(places, [f"{stage.change}\n{stage.name}" for stage in found.stages], fontsize="small")
+    right.set(ylabel="mean squared residual / noise variance", title=f"{found.case.name}: {found.verdict}")
+    right.margins(y=0.15)
+    right.legend(fontsize="small")
+    return figure
+
+
+def _effects_of(found: Explanation) -> str:
+    return "with " + " and ".join(found.final.effects)
+
+
+def _modelled(stage: Stage, run: int) -> Float[np.ndarray, "n 3"]:
+    """What the model of `stage` says at the frames of a run that were seen, NaN elsewhere."""
+    study = stage.bench.study
+    optimum = stage.step.optimum if study.runs[run].role == "train" else stage.judgement
+    if optimum is None:
+        raise ValueError(f"Run `{study.runs[run].name}` was not judged.")
+    seen = np.asarray(study.runs[run].pose)
+    weight = np.asarray(study.batch.weight)[run][: len(seen)]
+    residual = np.asarray(optimum.linearised.residual)[run][: len(seen)]
+    return seen - np.where(weight > 0, residual / np.where(weight > 0, weight, 1.0), np.nan)
+
+
+def missing(found: Explanation) -> Figure:
+    """The missing force of each run over time, [N] and [N m], with a band of two standard errors; what it depends on.
+
+    **Raises:** `ValueError` where no force was estimated.
+    """
+    if found.missing is None:
+        raise ValueError(f"The explanation of {found.case.name} has no missing force: it is {found.verdict}.")
+    runs = found.missing.runs
+    figure = Figure(figsize=(10.0, 2.4 + 1.4 * len(runs)), layout="constrained")
+    grid = figure.add_gridspec(2, 1, height_ratios=(1.4 * len(runs), 2.4))
+    above = figure.add_subfigure(grid[0])
+    below = figure.add_subfigure(grid[1])
+    axes = above.subplots(len(runs), 3, sharex=True, squeeze=False)
+    for row, run in zip(axes, runs, strict=True):
+        for k, (axis, name) in enumerate(zip(row, ("X [N]", "Y [N]", "N [N m]"), strict=True)):
+            force, sd = run.force[:, k], run.sd[:, k]
+            axis.fill_between(run.t, force - 2 * sd, force + 2 * sd, color=MODELLED, alpha=0.25, lw=0)
+            axis.plot(run.t, force, color=MODELLED, lw=1)
+            axis.set_ylabel(name, fontsize="small")
+        row[1].set_title(run.run, fontsize="small")
+    for axis in axes[-1]:
+        axis.set_xlabel("time [s]")
+    bars = below.subplots()
+    names, shares = zip(*found.missing.depends_on, strict=True)
+    bars.barh(names[::-1], 100 * np.array(shares[::-1]), color=TRAIN)
+    bars.set(xlabel="share of the excess that each variable predicts on runs it was not fitted to [%]", xlim=(0, 100))
+    return figure
 
 
 def gaps(times: Float[np.ndarray, " n"], present: np.ndarray) -> Iterator[tuple[float, float]]:

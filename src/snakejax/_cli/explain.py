@@ -71,6 +71,7 @@ def wanted(options: argparse.Namespace) -> dict[str, Any]:
 
 def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     """Explain one case."""
+    from .. import plot
     from .._check import estimate_noise
     from .._explain import explain
     from .._json import provenance_json, write_whole
@@ -83,6 +84,10 @@ def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     provenance = provenance_json(options.seed, given(options), case.sha256)
 
     def write(folder: Path) -> None:
+        say("drawing")
+        plot.save(plot.fall(found), folder, "fall")
+        if found.missing is not None:
+            plot.save(plot.missing(found), folder, "missing")
         if found.missing is not None and found.missing.shape is not None:
             write_whole(folder / "missing_force.py", starter(found.missing))
 
