@@ -17,11 +17,9 @@ from ._score import ALPHA, Reduced, Scored, confusable, reduced, score
 from ._skid import Coupled
 from ._study import DEPENDENT, Optimum, Study
 from ._units import parameters
-from ._windows import Settled, Windows, linearised
+from ._windows import LENGTH, Settled, Windows, linearised
 
 LATERAL_SKID = "lateral_skid"
-WINDOW = 1.5
-"""Length of a window [s]: long enough to see an effect, short enough that its action stays nearly linear."""
 WIDTH = 12
 """How many parameters one compiled fit can free: a tyre and several effects."""
 NEARLY = 4.0
@@ -90,7 +88,7 @@ class Bench(eqx.Module):
         tyre = tuple(n for n in default_free(model) if n.startswith("tyre."))
         names = [*tyre, *(part for parts in candidates.values() for part in parts)]
         study = Study.of(full, case.runs, noise, names, WIDTH)
-        windows = Windows.of(full, case.having("train"), noise, names, WIDTH, WINDOW)
+        windows = Windows.of(full, case.having("train"), noise, names, WIDTH, LENGTH)
         return Bench(study, windows, tyre, candidates, left_out, switched)
 
     @property
@@ -131,7 +129,7 @@ def _signatures(bench: Bench, study: Study, values, start, runs) -> Reduced:
             there = linearised(study, {**values, name: probe}, start, runs, ())
             jacobian[..., study.names.index(name)] = (there.residual - found.residual) / probe
     free_start = np.asarray(study.batch.free_start)
-    return reduced(found._replace(jacobian=jacobian), free_start, list(runs), np.asarray(study.batch.times), WINDOW)
+    return reduced(found._replace(jacobian=jacobian), free_start, list(runs), np.asarray(study.batch.times), LENGTH)
 
 
 class Step(NamedTuple):

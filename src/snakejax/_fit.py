@@ -16,8 +16,11 @@ from ._recording import Case, Noise, Run
 from ._study import Optimum, Study
 from ._tyre import AbstractTyre, Pacejka, Rayleigh
 from ._units import parameters, with_parameters
+from ._windows import LENGTH, Windows
 
 MODELS = ("pacejka", "rayleigh", "ideal")
+LACKING = 50.0
+"""Above this misfit of whole runs the fit is tried once more from where windows lead it."""
 HORIZONS = (1.5, 4.0)
 """The first seconds [s] on which a fit finds its way before it takes whole runs: errors have not grown there yet."""
 GOOD_START = 1.1
@@ -184,7 +187,21 @@ def fit_study(
     best = approach(study, study.values() if values is None else values, free, train, progress)
     progress("fitting whole runs")
     optimum = study.fit(best.values, free, train, best.start, threshold=threshold)
+    if not optimum.misfit < LACKING and free:
+        optimum = min(optimum, shot(study, free, train, threshold, progress), key=lambda one: one.misfit)
     return described(study, require_sound(study, optimum, train))
+
+
+def shot(study: Study, free: Sequence[str], runs: Sequence[int], threshold: float, progress) -> Optimum:
+    """The fit that short windows lead to, each with a start of its own: whole runs of a model that lacks something say
+    little about its parameters.
+    """
+    progress("fitting windows")
+    pieces = [study.runs[k] for k in runs]
+    windows = Windows.of(study.model, pieces, study.noise, study.names, study.width, LENGTH)
+    settled = windows.settle(study.values(), free)
+    progress("fitting whole runs")
+    return study.fit(settled.values, free, runs, threshold=threshold)
 
 
 def approach(
@@ -349,7 +366,7 @@ def advice(optimum: Optimum, estimates: Mapping[str, Estimate], combinations: Ma
     if optimum.misfit > 1.1:
         said.append(
             f"The misfit is {optimum.misfit:.3g} times noise: the model lacks something. "
-            "`snakejax compare` shows where it fails."
+            "`snakejax compare` shows where it fails, `snakejax explain` what is missing."
         )
     return said
 

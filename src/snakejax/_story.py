@@ -180,7 +180,10 @@ def _dependence(found: Explanation) -> RenderableType:
     for variable, share in missing.depends_on[:4]:
         add_row(table, variable, f"{100 * share:.0f} %")
     size = f"The missing force is {number(push)} N along the board and {number(turn)} N m in yaw (root mean square)."
-    return Group(Text(size), table)
+    if missing.shape is None:
+        return Group(Text(size), Text("It depends on nothing that these runs could tell."))
+    advice = "With --out DIR, DIR/missing_force.py is an effect of this form to start one of your own from."
+    return Group(Text(size), table, Text(advice))
 
 
 def diagnosis_text(case: Case, base: Stage) -> RenderableType:

@@ -24,6 +24,8 @@ _linearise = eqx.filter_jit(linearise)
 
 ACCURACY = Accuracy(rtol=3e-6, atol=3e-8, max_steps=4000, derivative="forward")
 """Looser, the derivatives of stiff windows are no longer sound; a window that needs more steps is given up."""
+LENGTH = 1.5
+"""Length of a window [s]: long enough to see an effect, short enough that its action stays nearly linear."""
 THREADS = 2
 ENOUGH = 0.003
 """A round that lowers the cost by less than this share is the last."""
