@@ -2,8 +2,9 @@
 
     python benchmarks/recordings.py FOLDER KEY.json [CASE ...]
 
-FOLDER holds case folders, KEY.json a list of {"case", "verdict", "effects", "values", "tyre", "depends_on"}. One process
-explains all of them, as `snakejax explain` does with several CASEs; the seconds are those of each, less compilation.
+FOLDER holds case folders, KEY.json a list of {"case", "verdict", "effects", "values", "tyre", "depends_on"}. One
+process explains all of them, as `snakejax explain` does with several CASEs; the seconds are those of each, less
+compilation.
 """
 
 import json

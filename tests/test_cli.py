@@ -24,6 +24,7 @@ from snakejax._cli._main import parser, prepared
 from snakejax._fit import RunScore
 from snakejax._json import clean, saved_fit, write_whole
 from snakejax._text import runs_table
+from snakejax.effects import LIBRARY
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 LEVEL = DATA / "level-board"
@@ -373,7 +374,7 @@ def test_names_are_where_the_type_checker_sees_them() -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="signals differ there")
 def test_an_interrupt_is_one_line_and_status_130(compiled: Path) -> None:
     started = subprocess.Popen(
-        [sys.executable, "-m", "snakejax", "fit", str(LEVEL)],
+        [sys.executable, "-m", "snakejax", "explain", str(DATA / "spring-board")],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -388,3 +389,31 @@ def test_an_interrupt_is_one_line_and_status_130(compiled: Path) -> None:
 
 def test_double_precision_is_on() -> None:
     assert jax.config.jax_enable_x64
+
+
+@pytest.mark.slow
+def test_diagnose_ranks_every_candidate_and_adds_none(say, short):
+    said = say("diagnose", short, "--json", "-", "--quiet", "--without", "clock_offset")
+    assert said.status == 0 and said.err == ""
+    found = json.loads(said.out)
+    assert found["schema"] == 1 and found["case"] == "short-board" and "verdict" not in found
+    names = [candidate["effect"] for candidate in found["ranking"]]
+    left = [one["effect"] for one in found["left_out"]]
+    assert len(set(names)) == len(names) and not set(names) & set(left)
+    assert set(names) | set(left) | {"clock_offset"} >= set(LIBRARY) and "clock_offset" not in names
+    for candidate in found["ranking"]:
+        assert {"p_value", "statistic", "predicted_misfit", "refit_misfit", "estimate"} <= set(candidate)
+        assert {"confusable_with", "detectable"} <= set(candidate)
+        if candidate["p_value"] is not None:
+            assert 0 <= candidate["p_value"] <= 1
+
+
+@pytest.mark.slow
+def test_explain_finds_a_level_board_adequate(say, short, tmp_path):
+    """Four seconds of a board without a hidden effect, one train run: nothing to add."""
+    said = say("explain", short, "--json", "-", "--quiet", "--out", tmp_path)
+    assert said.status == 0 and said.err == ""
+    found = json.loads(said.out)
+    assert (found["verdict"], found["effects"], found["steps"]) == ("adequate", [], [])
+    assert found["unexplained"] is None and found["final"]["misfit"] == found["base"]["misfit"]
+    assert (tmp_path / "fall.png").is_file() and (tmp_path / "explain.json").is_file()

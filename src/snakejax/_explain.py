@@ -158,8 +158,8 @@ def left_out_misfit(bench: Bench, step: Step) -> float:
 def better(bench: Bench, now: Step, then: Step) -> bool:
     """Whether `then` predicts train runs it has not seen better than `now` does, and enough to matter.
 
-    A fall of chi^2 within a score test's reach of zero is no evidence. Where `now` is far from the recordings the
-    misfit of its own fit stands for what it would predict, which favours it.
+    A fall of chi^2 within a score test's reach of zero is no evidence; with one train run it is all there is. Where
+    `now` is far from the recordings the misfit of its own fit stands for what it would predict, which favours it.
     """
     samples = now.optimum.samples
     fall = samples * (now.optimum.misfit - then.optimum.misfit)
@@ -171,7 +171,7 @@ def better(bench: Bench, now: Step, then: Step) -> bool:
         excess = now.optimum.misfit - 1.0
         if now.optimum.misfit - then.optimum.misfit < TELLING * excess:
             return False
-    if then.optimum.misfit > HOPELESS:
+    if then.optimum.misfit > HOPELESS or len(bench.train) < 2:
         return True
     present = left_out_misfit(bench, now) if now.optimum.misfit < NEARLY else now.optimum.misfit
     return left_out_misfit(bench, then) < present
@@ -383,7 +383,6 @@ def _concluded(case: Case, noise: Noise, stages: list[Stage], base: Bench, progr
         return Explanation(case, noise, tuple(stages), verdict, last.effects, (), dict(base.left_out), None)
     missing = None
     if len(last.bench.train) > 1:
-        progress("estimating the missing force")
         # Helpers that do not explain would hide a part of it, so it is counted from the structure alone.
         bare = next(stage for stage in stages if stage.bench is last.bench)
         missing = missing_force(bare.bench, bare.step, progress)
