@@ -79,7 +79,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except InputError as error:
         return complain(error, WRONG)
     except KeyboardInterrupt:
-        return complain("Interrupted, what was finished is kept: run it again for the rest", INTERRUPTED)
+        status = complain("Interrupted, what was finished is kept: run it again for the rest", INTERRUPTED)
+        if arguments is None:
+            # The program ends here: a computation may still run, and must not find the interpreter half taken down.
+            sys.stdout.flush()
+            os._exit(status)
+        return status
     except BrokenPipeError:
         # The reader of our output went away; what Python still holds for it must not raise once more at the end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
