@@ -3,12 +3,10 @@
 import io
 import json
 import math
-import os
 import re
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -371,20 +369,11 @@ def test_names_are_where_the_type_checker_sees_them() -> None:
         snakejax.nothing  # noqa: B018
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="signals differ there")
-def test_an_interrupt_is_one_line_and_status_130(compiled: Path) -> None:
-    started = subprocess.Popen(
-        [sys.executable, "-m", "snakejax", "explain", str(DATA / "spring-board")],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "XDG_CACHE_HOME": str(compiled)},
-    )
-    time.sleep(4.0)  # a busy machine takes that long to start Python
-    started.send_signal(signal.SIGINT)
-    out, err = started.communicate(timeout=60)
-    assert (started.returncode, out) == (130, "")
-    assert re.fullmatch(r"snakejax: error: Interrupted[^\n]*\n", err), err
+def test_an_interrupt_is_one_line_and_status_130(say, monkeypatch) -> None:
+    monkeypatch.setattr("snakejax._case.load_case", lambda path: signal.raise_signal(signal.SIGINT))
+    said = say("fit", LEVEL)
+    assert (said.status, said.out) == (130, "")
+    assert re.fullmatch(r"snakejax: error: Interrupted[^\n]*\n", said.err), said.err
 
 
 def test_double_precision_is_on() -> None:
