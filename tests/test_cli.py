@@ -4,7 +4,6 @@ import io
 import json
 import math
 import re
-import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -370,7 +369,10 @@ def test_names_are_where_the_type_checker_sees_them() -> None:
 
 
 def test_an_interrupt_is_one_line_and_status_130(say, monkeypatch) -> None:
-    monkeypatch.setattr("snakejax._case.load_case", lambda path: signal.raise_signal(signal.SIGINT))
+    def interrupted(path):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("snakejax._case.load_case", interrupted)
     said = say("fit", LEVEL)
     assert (said.status, said.out) == (130, "")
     assert re.fullmatch(r"snakejax: error: Interrupted[^\n]*\n", said.err), said.err
