@@ -1,11 +1,15 @@
 """The command line: what it says, what it writes, and how it ends."""
 
+import contextlib
 import io
 import json
 import math
+import os
 import re
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,6 +21,7 @@ from rich.console import Console
 
 import snakejax
 from snakejax._cli import main
+from snakejax._cli._interrupt import AGAIN, persistent_interrupt
 from snakejax._cli._main import parser, prepared
 from snakejax._fit import RunScore
 from snakejax._json import clean, saved_fit, write_whole
@@ -368,14 +373,44 @@ def test_names_are_where_the_type_checker_sees_them() -> None:
         snakejax.nothing  # noqa: B018
 
 
-def test_an_interrupt_is_one_line_and_status_130(say, monkeypatch) -> None:
-    def interrupted(path):
-        raise KeyboardInterrupt
+# A job in the background of a script ignores Ctrl-C, and so would what it starts.
+_INTERRUPTIBLE = """
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from snakejax._cli import main
+print("started", file=sys.stderr, flush=True)
+sys.exit(main())
+"""
 
-    monkeypatch.setattr("snakejax._case.load_case", interrupted)
-    said = say("fit", LEVEL)
-    assert (said.status, said.out) == (130, "")
-    assert re.fullmatch(r"snakejax: error: Interrupted[^\n]*\n", said.err), said.err
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT to send to one process.")
+@pytest.mark.parametrize("wait", [0.3, 3.0, 8.0])
+def test_an_interrupt_is_one_line_and_status_130(wait) -> None:
+    """Ctrl-C while it imports, compiles or computes; the command would go on for a minute."""
+    command = [sys.executable, "-c", _INTERRUPTIBLE, "explain", DATA / "spring-board", "--quiet"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        assert process.stderr.readline() == "started\n"
+        time.sleep(wait)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=120)
+    assert (process.returncode, out) == (130, ""), err
+    assert re.fullmatch(r"snakejax: error: Interrupted[^\n]*\n", err), err
+
+
+def test_an_interrupt_that_a_callback_swallows_is_raised_again() -> None:
+    """Python forgets what a callback of a library raises."""
+    heard = signal.getsignal(signal.SIGINT)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt), persistent_interrupt():
+            with contextlib.suppress(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+            time.sleep(10 * AGAIN)
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        time.sleep(1.5 * AGAIN)  # and no more after that
+    finally:
+        signal.signal(signal.SIGINT, heard)
 
 
 def test_double_precision_is_on() -> None:

@@ -10,6 +10,7 @@ from typing import NoReturn
 
 from .._errors import InputError
 from . import check, compare, diagnose, explain, fit, new, simulate
+from ._interrupt import persistent_interrupt
 from ._options import Formatter
 
 DONE, FAILED, WRONG, INTERRUPTED = 0, 1, 2, 130
@@ -72,8 +73,9 @@ def prepared(arguments: Sequence[str]) -> list[str]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run `snakejax`; the exit status. No failure shows a traceback, unless SNAKEJAX_DEBUG is set."""
     try:
-        options = parser().parse_args(prepared(sys.argv[1:] if arguments is None else arguments))
-        return options.run(options)
+        with persistent_interrupt():
+            options = parser().parse_args(prepared(sys.argv[1:] if arguments is None else arguments))
+            return options.run(options)
     except SystemExit as done:
         return int(done.code or DONE)
     except InputError as error:
