@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from ._case import load_case as load_case
     from ._check import check as check
     from ._check import estimate_noise as estimate_noise
+    from ._check import noise_of as noise_of
     from ._effect import Clock as Clock
     from ._effect import Command as Command
     from ._effect import Effect as Effect
@@ -43,7 +44,6 @@ if TYPE_CHECKING:
     from ._gait import Sines as Sines
     from ._gait import Tracked as Tracked
     from ._missing import Missing as Missing
-    from ._missing import starter as starter
     from ._model import Model as Model
     from ._prepare import prepare_jax as prepare_jax
     from ._presets import Preset as Preset
@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from ._simulate import Trajectory as Trajectory
     from ._simulate import motions as motions
     from ._simulate import simulate as simulate
+    from ._starter import starter as starter
     from ._tyre import Bakker as Bakker
     from ._tyre import Pacejka as Pacejka
     from ._tyre import Rayleigh as Rayleigh
@@ -64,18 +65,19 @@ if TYPE_CHECKING:
 _HOMES = {
     "_board": "TABLE_II Board Wheelset",
     "_case": "load_case",
-    "_check": "check estimate_noise",
+    "_check": "check estimate_noise noise_of",
     "_effect": "Clock Command Effect Floor Force Grip Layout Linkage Memory Motion Rolling Sensor Wheel",
     "_errors": "InputError",
     "_explain": "Diagnosis Explanation Stage diagnose explain",
     "_fit": "Fit FitError fit profile starting_model",
     "_gait": "Gait Logged Sines Tracked",
-    "_missing": "Missing starter",
+    "_missing": "Missing",
     "_model": "Model",
     "_prepare": "prepare_jax",
     "_presets": "Preset preset",
     "_recording": "Case Noise Run",
     "_simulate": "Accuracy Trajectory motions simulate",
+    "_starter": "starter",
     "_tyre": "Bakker Pacejka Rayleigh",
     "_units": "Scalar param",
 }

@@ -72,23 +72,24 @@ def wanted(options: argparse.Namespace) -> dict[str, Any]:
 def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     """Explain one case."""
     from .. import plot
-    from .._check import estimate_noise
+    from .._check import noise_of
     from .._explain import explain
     from .._json import provenance_json, write_whole
-    from .._missing import starter
+    from .._starter import starter
     from .._story import explanation_json, explanation_text
 
     clock = Clock()
-    noise = case.noise or estimate_noise(case.runs)
+    noise = noise_of(case)
     found = explain(case, noise, library(options), **wanted(options), progress=say)
     provenance = provenance_json(options.seed, given(options), case.sha256)
 
     def write(folder: Path) -> None:
         say("drawing")
         plot.save(plot.fall(found), folder, "fall")
-        if found.missing is not None:
-            plot.save(plot.missing(found), folder, "missing")
-        if found.missing is not None and found.missing.shape is not None:
+        if found.missing is None:
+            return
+        plot.save(plot.missing(found), folder, "missing")
+        if found.missing.shape is not None:
             write_whole(folder / "missing_force.py", starter(found.missing))
 
     return Outcome(explanation_json(found, provenance, clock.seconds()), explanation_text(found), write)
