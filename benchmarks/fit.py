@@ -185,13 +185,11 @@ def against_scipy() -> None:
         "lm, rtol 1e-8, differences of 1e-4": (1e-8, "lm", 1e-4),
     }
     print("The fit: coupled, one run of 7.7 s, 770 samples of x, y and heading; B, C, D, E and the start heading")
-    best = study.fit(dict(zip(TYRE, TRUTH, strict=True)), TYRE, [0]).misfit
+    optimum = study.fit(dict(zip(TYRE, TRUTH, strict=True)), TYRE, [0])
+    best = optimum.misfit
     print(
         "  estimates: "
-        + ", ".join(
-            f"{n} {e.value:.4f} +- {e.sd:.4f}"
-            for n, e in estimated(study, study.fit(dict(zip(TYRE, TRUTH, strict=True)), TYRE, [0])).items()
-        )
+        + ", ".join(f"{n} {e.value:.4f} +- {e.sd:.4f}" for n, e in estimated(study, optimum).items())
         + f"; misfit {best:.5f}"
     )
     rows = {name: [] for name in ("snakejax", *settings)}

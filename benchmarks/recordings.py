@@ -16,7 +16,7 @@ from snakejax import prepare_jax
 
 prepare_jax()
 
-from snakejax import estimate_noise, explain, load_case  # noqa: E402
+from snakejax import explain, load_case, noise_of  # noqa: E402
 from snakejax._cli._setup import Clock, start_jax  # noqa: E402
 from snakejax.effects import LIBRARY  # noqa: E402
 
@@ -39,7 +39,7 @@ def main(folder: Path, key: Path, names: list[str]) -> None:
     for name in names or sorted(known):
         entry, case = known[name], load_case(folder / name)
         clock = Clock()
-        found = explain(case, case.noise or estimate_noise(case.runs), {n: kind() for n, kind in LIBRARY.items()})
+        found = explain(case, noise_of(case), {n: kind() for n, kind in LIBRARY.items()})
         spent = clock.seconds()
         seconds.append(spent["total"] - spent["compile"])
         first = found.missing.depends_on[0] if found.missing is not None else None

@@ -22,7 +22,7 @@ def main(folder: Path) -> sj.Explanation:
     """The walk, step by step; returns the explanation."""
     # 1. Read the recording: runs to learn from and runs held out, poses in metres and radians, the commanded gait.
     case = sj.load_case(DATA / "tilted-floor")
-    noise = case.noise or sj.estimate_noise(case.runs)
+    noise = sj.noise_of(case)
 
     # 2. Let the package do what a careful experimenter would: fit the tyre, look at what is left, score every known
     #    effect beside it, add the one that explains most, fit again, and stop when only noise is left.

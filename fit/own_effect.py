@@ -21,7 +21,7 @@ DATA = Path(__file__).resolve().parents[1] / "data"
 def main(folder: Path) -> tuple[sj.Explanation, sj.Explanation]:
     """The walk, step by step; returns what the library explains, and what the effect of one's own does."""
     case = sj.load_case(DATA / "spring-board")
-    noise = case.noise or sj.estimate_noise(case.runs)
+    noise = sj.noise_of(case)
     candidates = {name: kind() for name, kind in LIBRARY.items()}
 
     # 1. No known effect explains the recording. The force that is missing is estimated instead, and what it depends on.

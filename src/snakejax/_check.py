@@ -236,6 +236,11 @@ def _robust_sd(values: Float[np.ndarray, " n"]) -> float:
     return MAD_TO_SD * float(np.median(np.abs(values - np.median(values)))) if values.size else 0.0
 
 
+def noise_of(case: Case) -> Noise:
+    """The noise that `case` states, else what its recordings show. **Raises:** as `estimate_noise`."""
+    return case.noise or estimate_noise(case.runs)
+
+
 def estimate_noise(runs: Sequence[Run]) -> Noise:
     """The standard deviation of one sample of position (x and y pooled) and of heading over all `runs`.
 

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import optimize, stats
 
-from ._check import estimate_noise
+from ._check import noise_of
 from ._effect import Motion
 from ._fit import Fit, FitError, Score, fit, starting_model
 from ._recording import Case, Noise
@@ -138,7 +138,7 @@ def side_by_side(
     `noise`: as given, else the case's own, else as the recordings show it.
     **Raises:** `InputError` for an unknown kind; a fit that fails is a row that says why.
     """
-    noise = noise or case.noise or estimate_noise(case.runs)
+    noise = noise or noise_of(case)
 
     def side(kind: str) -> Side:
         try:

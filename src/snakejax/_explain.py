@@ -1,7 +1,7 @@
 """The loop: fit, compare, diagnose, add, refit, until only noise is left or nothing known explains the rest."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypedDict, Unpack
 
 import equinox as eqx
 import numpy as np
@@ -177,6 +177,25 @@ def better(bench: Bench, now: Step, then: Step) -> bool:
     return left_out_misfit(bench, then) < present
 
 
+class Question(TypedDict, total=False):
+    """What `diagnose` and `explain` can be told beyond the recordings and the candidates.
+
+    `kind`: the tyre law of the base, "pacejka" (default) or "rayleigh"; `skid`: its structure (default: the case's);
+    `with_`: effects in the base from the start; `switch`: whether the change of structure from coupled to free is a
+    candidate (default True); `progress` is told what is being done.
+    """
+
+    kind: str
+    skid: str | None
+    with_: Sequence[str]
+    switch: bool
+    progress: Callable[[str], None]
+
+
+def _silent(_: object) -> None:
+    """Nobody wants to know."""
+
+
 class Diagnosis(NamedTuple):
     """The base, what its ranking says is missing, and the other skid structure beside it where there is one."""
 
@@ -184,24 +203,16 @@ class Diagnosis(NamedTuple):
     switched: tuple[Bench, Step] | None
 
 
-def diagnose(
-    case: Case,
-    noise: Noise,
-    library: Mapping[str, Effect],
-    *,
-    kind: str = "pacejka",
-    skid: str | None = None,
-    with_: Sequence[str] = (),
-    switch: bool = True,
-    progress: Callable[[str], None] = lambda _: None,
-) -> Diagnosis:
+def diagnose(case: Case, noise: Noise, library: Mapping[str, Effect], **question: Unpack[Question]) -> Diagnosis:
     """Rank the effects of `library` by how well each would explain what the base model leaves of the train runs.
 
     Nothing is added: all candidates are scored at the base fit, the best few refitted beside it.
 
-    **Arguments:** as in `explain`. **Raises:** `FitError` where the base cannot be fitted.
+    **Arguments:** `question`, see `Question`. **Raises:** `FitError` where the base cannot be fitted.
     """
-    options = structures(case, kind, skid)[: 2 if switch else 1]
+    with_, progress = question.get("with_", ()), question.get("progress", _silent)
+    options = structures(case, question.get("kind", "pacejka"), question.get("skid"))
+    options = options[: 2 if question.get("switch", True) else 1]
     bench = Bench.of(options[0][1], case, noise, library)
     step = Step(tuple(with_), base_fit(bench, with_, progress))
     ranking = tuple(rank(bench, step, progress=progress))
@@ -220,20 +231,16 @@ def explain(
     noise: Noise,
     library: Mapping[str, Effect],
     *,
-    kind: str = "pacejka",
-    skid: str | None = None,
-    with_: Sequence[str] = (),
-    switch: bool = True,
-    progress: Callable[[str], None] = lambda _: None,
-    show: Callable[[Stage], None] = lambda _: None,
+    show: Callable[[Stage], None] = _silent,
+    **question: Unpack[Question],
 ) -> Explanation:
     """Find out which effects of `library` the recordings of `case` show beyond the base model.
 
-    **Arguments:** `kind`, `skid`: the base model; `with_`: effects in the base from the start; `switch`: whether the
-    change of structure from coupled to free is a candidate; `progress` is told what is being done, `show` each stage.
+    **Arguments:** `show` is given each stage; `question`, see `Question`.
     **Raises:** `FitError` where the base cannot be fitted.
     """
-    found = diagnose(case, noise, library, kind=kind, skid=skid, with_=with_, switch=switch, progress=progress)
+    progress = question.get("progress", _silent)
+    found = diagnose(case, noise, library, **question)
     stages = [found.base]
     show(found.base)
     stages += _beyond(found, progress, show)

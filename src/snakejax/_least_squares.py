@@ -202,6 +202,13 @@ def linearise(model, at: Unknowns, batch: Batch, order, count, steps, start_step
     return jax.lax.fori_loop(0, count, one, empty)
 
 
+def first(runs: Sequence[int], batch: Batch) -> tuple[Int[Array, " R"], Int[Array, ""]]:
+    """`runs` as `linearise` takes them: their numbers, padded to all runs of `batch`, and how many they are."""
+    order = np.zeros(batch.start.shape[0], np.int64)
+    order[: len(runs)] = runs
+    return jnp.asarray(order), jnp.asarray(len(runs))
+
+
 def _robust(r, J, threshold):
     """Residuals whose square is twice Huber's loss: quadratic below `threshold`, linear above."""
     size = jnp.abs(r)
@@ -271,15 +278,12 @@ def solve(
     (K,), if any.
     """
     width = at.directions.shape[0]
-    order = np.zeros(batch.start.shape[0], np.int64)
-    order[: len(runs)] = runs
     prior = (np.zeros(width), np.zeros(width)) if prior is None else prior
     ended, linearised, steps, settled = _solve(
         model,
         at,
         batch,
-        jnp.asarray(order),
-        jnp.asarray(len(runs)),
+        *first(runs, batch),
         jnp.asarray(unit, jnp.float64),
         (jnp.asarray(prior[0]), jnp.asarray(prior[1])),
         jnp.asarray(enough, jnp.float64),

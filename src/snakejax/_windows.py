@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ._least_squares import Linearised, Unknowns, domains_of, linearise
+from ._least_squares import Linearised, Unknowns, domains_of, first, linearise
 from ._model import Model
 from ._recording import Noise, Run
 from ._simulate import Accuracy
@@ -119,14 +119,11 @@ def linearised(
     )
 
     def share(part: Sequence[int]) -> Linearised:
-        order = np.zeros(len(study.runs), np.int64)
-        order[: len(part)] = part
         found = _linearise(
             study.model,
             point,
             study.batch,
-            jnp.asarray(order),
-            jnp.asarray(len(part)),
+            *first(part, study.batch),
             jnp.zeros(width),
             jnp.zeros_like(study.batch.start),
             study.accuracy,
@@ -229,10 +226,7 @@ class Windows(eqx.Module):
                 open_ = (free_start[k] > 0) & ((S**2).sum(axis=0) > 0)
                 if np.isfinite(r).all() and open_.any():
                     S = S[:, open_]
-                    brake = np.diag(np.sqrt(damping[k] * (S**2).sum(axis=0)))
-                    move = np.linalg.lstsq(
-                        np.concatenate([S, brake]), np.concatenate([-r, np.zeros(len(brake))]), rcond=1e-12
-                    )[0]
+                    move = np.linalg.lstsq(*_braked(S, damping[k], -r), rcond=1e-12)[0]
                     there[k, open_] += move
                     promise[k] = (r @ r) - ((r + S @ move) ** 2).sum()
             which = which[promise[which] > ENOUGH * (residual[which] ** 2).sum(axis=(1, 2)) + 0.1]
@@ -272,10 +266,7 @@ def _newton(found: Linearised, count: int, width: int, free_start: np.ndarray, d
         G, open_ = J[:, :count], free_start[k] > 0
         open_ &= (J[:, width:] ** 2).sum(axis=0) > 0
         S = J[:, width:][:, open_]
-        brake = np.diag(np.sqrt(damping * (S**2).sum(axis=0)))
-        # The damping of the start states as rows of their own.
-        S, G = np.concatenate([S, brake]), np.concatenate([G, np.zeros((len(brake), count))])
-        r = np.concatenate([r, np.zeros(len(brake))])
+        S, G, r = _braked(S, damping, G, r)
         q, t = np.linalg.qr(S)
         G_ = G - q @ (q.T @ G)
         normal += G_.T @ G_
@@ -289,6 +280,12 @@ def _newton(found: Linearised, count: int, width: int, free_start: np.ndarray, d
     for k, (q, t, r, G, open_) in enumerate(parts):
         moves[k, open_] = np.linalg.lstsq(t, -(q.T @ (r + G @ step)), rcond=1e-12)[0]
     return step, moves
+
+
+def _braked(S: np.ndarray, damping: float, *others: np.ndarray) -> tuple[np.ndarray, ...]:
+    """`S` with the damping of its columns as rows of their own, and `others` with as many rows of zeros."""
+    brake = np.diag(np.sqrt(damping * (S**2).sum(axis=0)))
+    return np.concatenate([S, brake]), *(np.concatenate([o, np.zeros((len(brake), *o.shape[1:]))]) for o in others)
 
 
 def _solved(normal: np.ndarray, right: np.ndarray) -> np.ndarray:

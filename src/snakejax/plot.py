@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from ._explain import Explanation, Stage
 from ._fit import Fit
 from ._replay import fitted_poses
+from ._study import Optimum, Study
 
 MEASURED, MODELLED, GAP = "0.45", "#c2410c", "0.9"
 BASE, TRAIN, HELDOUT = "#2563eb", "#475569", "#c2410c"
@@ -84,14 +85,19 @@ def residuals(found: Fit) -> Figure:
 
 def _residuals(found: Fit) -> list[Float[np.ndarray, "n 3"]]:
     """The whitened residual at each frame of each run, NaN where the frame was lost."""
-    residual = np.array(found.optimum.linearised.residual)
-    if found.heldout_optimum is not None:
-        rows = found.study.numbered("heldout")
-        residual[rows] = found.heldout_optimum.linearised.residual[rows]
+    held = found.study.numbered("heldout")
     return [
-        np.where(np.isfinite(np.asarray(run.pose)), mine[: run.times.shape[0]], np.nan)
-        for run, mine in zip(found.study.runs, residual, strict=True)
+        _residual(found.study, found.heldout_optimum if k in held else found.optimum, k)
+        for k in range(len(found.study.runs))
     ]
+
+
+def _residual(study: Study, optimum: Optimum | None, run: int) -> Float[np.ndarray, "n 3"]:
+    """The whitened residual at each frame of one run, NaN where the frame was lost or the run not judged."""
+    seen = np.isfinite(np.asarray(study.runs[run].pose))
+    if optimum is None:
+        return np.full(seen.shape, np.nan)
+    return np.where(seen, np.asarray(optimum.linearised.residual)[run][: len(seen)], np.nan)
 
 
 def fall(found: Explanation) -> Figure:
@@ -141,12 +147,7 @@ def _modelled(stage: Stage, run: int) -> Float[np.ndarray, "n 3"]:
     """What the model of `stage` says at the frames of a run that were seen, NaN elsewhere."""
     study = stage.bench.study
     optimum = stage.step.optimum if study.runs[run].role == "train" else stage.judgement
-    if optimum is None:
-        raise ValueError(f"Run `{study.runs[run].name}` was not judged.")
-    seen = np.asarray(study.runs[run].pose)
-    weight = np.asarray(study.batch.weight)[run][: len(seen)]
-    residual = np.asarray(optimum.linearised.residual)[run][: len(seen)]
-    return seen - np.where(weight > 0, residual / np.where(weight > 0, weight, 1.0), np.nan)
+    return np.asarray(study.runs[run].pose) - _residual(study, optimum, run) * np.asarray(study.noise.channels)
 
 
 def missing(found: Explanation) -> Figure:

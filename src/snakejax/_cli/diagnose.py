@@ -30,13 +30,13 @@ def run(options: argparse.Namespace) -> int:
 
 def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     """Diagnose one case."""
-    from .._check import estimate_noise
+    from .._check import noise_of
     from .._explain import diagnose
     from .._json import provenance_json
     from .._story import diagnosis_json, diagnosis_text
 
     clock = Clock()
-    noise = case.noise or estimate_noise(case.runs)
+    noise = noise_of(case)
     base = diagnose(case, noise, library(options), **wanted(options), progress=say).base
     provenance = provenance_json(options.seed, given(options), case.sha256)
     return Outcome(diagnosis_json(case, noise, base, provenance, clock.seconds()), diagnosis_text(case, base))

@@ -61,12 +61,12 @@ def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
 
 def fitted(options: argparse.Namespace, case: "Case", say: Say) -> "tuple[Fit, Noise]":
     """The fit of `case` that the options ask for, and the noise it counts in."""
-    from .._check import estimate_noise
+    from .._check import noise_of
     from .._fit import fit
     from ._models import wanted_model
 
     wanted = wanted_model(options, case)
-    noise = case.noise or estimate_noise(case.runs)
+    noise = noise_of(case)
     free = wanted.freed(names(getattr(options, "free", None)))
     limit = threshold(getattr(options, "robust", None))
     return fit(wanted.model, case.runs, noise, free, threshold=limit, progress=say), noise

@@ -110,7 +110,7 @@ def _of_preset(options: argparse.Namespace, subject: Any) -> tuple:
 
 
 def _of_case(options: argparse.Namespace, case: Any, say: Say) -> tuple:
-    from .._check import estimate_noise
+    from .._check import noise_of
     from .._fit import run_scores
     from .._replay import fitted_starts, starts_of
     from .._study import Study
@@ -128,7 +128,7 @@ def _of_case(options: argparse.Namespace, case: Any, say: Say) -> tuple:
     if pose is not None:
         return wanted.model, case.runs, starts_of(case.runs, pose), case.noise, (), {}
     say("estimating where the runs start")
-    noise = case.noise or estimate_noise(case.runs)
+    noise = noise_of(case)
     study = Study.of(wanted.model, case.runs, noise, (), 1)
     optimum = study.fit({}, (), range(len(case.runs)))
     scores = run_scores(study, optimum, range(len(case.runs)))
