@@ -11,13 +11,16 @@ from snakejax._board import TABLE_II, Board
 from snakejax._case import load_case
 from snakejax._cli._models import effect_class
 from snakejax._cli._options import effect_spec
+from snakejax._dependence import Shape
 from snakejax._diagnose import Bench, Step, structures
 from snakejax._effect import Force, Motion, Wrench
+from snakejax._free_force import FreeForce
 from snakejax._gait import Gait, Sines, Tracked
-from snakejax._missing import FreeForce, Missing, Shape, missing_force, starter
+from snakejax._missing import Missing, missing_force
 from snakejax._model import Model
 from snakejax._recording import Case, Noise, Run
 from snakejax._simulate import simulate
+from snakejax._starter import starter
 from snakejax._tyre import Pacejka
 from snakejax._units import Scalar, own_parameters, param
 from snakejax.effects import LIBRARY

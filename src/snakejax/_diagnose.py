@@ -11,6 +11,7 @@ from scipy import stats
 
 from ._effect import Effect
 from ._fit import default_free, require_sensitive, require_sound, starting_model
+from ._least_squares import Linearised
 from ._model import Model
 from ._recording import Case, Noise
 from ._score import ALPHA, Reduced, Scored, confusable, reduced, score
@@ -109,27 +110,35 @@ class Bench(eqx.Module):
         return found
 
 
-def whole_runs(bench: Bench, optimum: Optimum) -> Reduced:
+def on_runs(bench: Bench, optimum: Optimum) -> Reduced:
     """Residuals of whole train runs and the signatures of all candidates there."""
-    study = bench.study
-    return _signatures(bench, study, optimum.values, optimum.start, bench.train)
+    study, runs = bench.study, bench.train
+    return projected(study, signatures(bench, study, optimum.values, optimum.start, runs), runs)
 
 
 def on_windows(bench: Bench, values: Mapping[str, float], start: np.ndarray) -> Reduced:
     """Residuals of the windows and the signatures of all candidates there."""
     study = bench.windows.study
-    return _signatures(bench, study, values, start, range(len(study.runs)))
+    runs = range(len(study.runs))
+    return projected(study, signatures(bench, study, values, start, runs), runs)
 
 
-def _signatures(bench: Bench, study: Study, values, start, runs) -> Reduced:
+def signatures(
+    bench: Bench, study: Study, values: Mapping[str, float], start: np.ndarray, runs: Sequence[int]
+) -> Linearised:
+    """Residuals of `runs`, and what a unit of each movable parameter would change of them."""
     found = linearised(study, values, start, runs)
     jacobian = found.jacobian.copy()
     for name, probe in bench.probes().items():
         if values[name] == 0.0:
             there = linearised(study, {**values, name: probe}, start, runs, ())
             jacobian[..., study.names.index(name)] = (there.residual - found.residual) / probe
-    free_start = np.asarray(study.batch.free_start)
-    return reduced(found._replace(jacobian=jacobian), free_start, list(runs), np.asarray(study.batch.times), LENGTH)
+    return found._replace(jacobian=jacobian)
+
+
+def projected(study: Study, found: Linearised, runs: Sequence[int]) -> Reduced:
+    """`found` with the starts of `runs` projected out."""
+    return reduced(found, np.asarray(study.batch.free_start), list(runs), np.asarray(study.batch.times), LENGTH)
 
 
 class Step(NamedTuple):
@@ -163,7 +172,7 @@ def prospects(bench: Bench, step: Step, progress: Callable[[str], None] = lambda
     names, near = bench.study.names, step.optimum.misfit < NEARLY
     if near:
         values, start = step.optimum.values, None
-        rest = whole_runs(bench, step.optimum)
+        rest = on_runs(bench, step.optimum)
     else:
         progress("settling on windows")
         settled = _settled(bench, step, fitted)

@@ -1,0 +1,310 @@
+"""How often the diagnosis is right, on boards made up: with each effect at five strengths, and without any.
+
+    python benchmarks/accuracy.py PART [RESULTS]         PART: null, ranking, loop, exhaustive, or table
+
+Each part writes its results line by line into RESULTS (default benchmarks/accuracy.jsonl), and goes on where it was
+stopped; `table` prints what they say, which is kept in benchmarks/accuracy.txt.
+
+null        400 boards without an effect, the whole loop.
+ranking     every effect at 5 strengths under both structures, 20 draws of the noise. The sensitivities are those of the
+            mean recording, and serve all draws; each draw is scored by itself.
+loop        the whole loop on a hundred of these boards, 20 of each strength.
+exhaustive  twenty of the hundred, all candidates refitted: the yardstick.
+
+Strengths are multiples of the smallest value that the runs reveal with power 0.8, as the tool itself says of the board
+without the effect.
+"""
+
+import json
+import statistics
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from snakejax import prepare_jax
+
+prepare_jax()
+
+import boards  # noqa: E402
+import equinox as eqx  # noqa: E402
+import jax.numpy as jnp  # noqa: E402
+import numpy as np  # noqa: E402
+
+from snakejax import Case, explain  # noqa: E402
+from snakejax._diagnose import Bench, Step, projected, prospects, refit, signatures  # noqa: E402
+from snakejax._fit import starting_model  # noqa: E402
+from snakejax._score import ALPHA, Scored, confusable, score  # noqa: E402
+from snakejax._units import parameters  # noqa: E402
+from snakejax.effects import LIBRARY  # noqa: E402
+
+CANDIDATES = {name: kind() for name, kind in LIBRARY.items()}
+STRENGTHS = (0.5, 0.75, 1.0, 1.5, 2.5)
+DRAWS, BOARDS, YARDSTICK = 20, 400, 20
+
+
+class Results:
+    """What was found, a line each, and kept at once."""
+
+    def __init__(self, path: Path):
+        self.path = path
+        self.lines = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+    def of(self, part: str) -> list[dict[str, Any]]:
+        return [line for line in self.lines if line["part"] == part]
+
+    def once(self, part: str, key: str, work: Callable[[], dict[str, Any]]) -> None:
+        """Do `work` unless its result is there."""
+        if any(line["key"] == key for line in self.of(part)):
+            return
+        line = {"part": part, "key": key, **work()}
+        self.lines.append(line)
+        with self.path.open("a") as file:
+            file.write(json.dumps(line) + "\n")
+        print(json.dumps(line), flush=True)
+
+
+def effects_of(skid: str) -> list[str]:
+    """The effects that can act under a structure and that one number describes."""
+    model = boards.make(0, skid).model
+    return [n for n, e in CANDIDATES.items() if not e.refusal(model) and not (n == "grip_split" and skid == "coupled")]
+
+
+def cells() -> Iterator[tuple[int, str, str, float]]:
+    """(board, structure, effect, strength) of the whole ranking study."""
+    for skid in boards.SKIDS:
+        for k, name in enumerate(effects_of(skid)):
+            for strength in STRENGTHS:
+                yield 1000 + k, skid, name, strength
+
+
+def settled(case: Case, made: boards.Made) -> tuple[Bench, Step]:
+    """The bench of a recording without noise, and its base fit, which the true tyre is near."""
+    bench = Bench.of(starting_model(case), case, boards.NOISE, CANDIDATES)
+    known = {name: float(parameters(made.model)[name].value) for name in bench.tyre}
+    return bench, Step((), refit(bench, (), {**bench.study.values(), **known}))
+
+
+def scored(bench: Bench, step: Step, seed: int | None = None) -> list[Scored]:
+    """The candidates beside the base, under the noise of `seed`."""
+    study, runs = bench.study, bench.train
+    found = signatures(bench, study, step.optimum.values, step.optimum.start, runs)
+    return _drawn(bench, step, found, seed)
+
+
+def _drawn(bench, step, found, seed):
+    study, runs = bench.study, bench.train
+    if seed is not None:
+        seen = np.asarray(study.batch.weight) > 0
+        found = found._replace(residual=found.residual + seen * np.random.default_rng(seed).normal(size=seen.shape))
+    fitted = [name for name in bench.tyre if name not in step.optimum.held]
+    rest = projected(study, found, runs)
+    return score(bench.study.model, study.names, rest, fitted, bench.candidates, step.optimum.values)
+
+
+def size_of(bench: Bench, step: Step, name: str) -> float:
+    """The smallest value of an effect's first parameter that the runs reveal."""
+    here = next((s for s in scored(bench, step) if s.effect == name), None)
+    if here is None:
+        return np.inf
+    return here.detectable[bench.candidates[name][0]]
+
+
+def with_effect(made: boards.Made, name: str, value: float) -> Any:
+    """The effect with its first parameter at `value`."""
+    first = next(iter(parameters(CANDIDATES[name])))
+    return eqx.tree_at(lambda e: getattr(e, first), CANDIDATES[name], jnp.asarray(value))
+
+
+def null(results: Results) -> None:
+    for seed in range(BOARDS):
+        skid = boards.SKIDS[seed % 2]
+
+        def work(seed=seed, skid=skid) -> dict[str, Any]:
+            case = boards.case(boards.make(seed, skid), seed)
+            begin = time.perf_counter()
+            found = explain(case, boards.NOISE, CANDIDATES)
+            return {
+                "skid": skid,
+                "verdict": found.verdict,
+                "effects": found.effects,
+                "p": min(r.score.p_value for r in found.base.ranking if r.score is not None),
+                "train": found.final.train.misfit,
+                "heldout": found.final.heldout.misfit if found.final.heldout else None,
+                "seconds": time.perf_counter() - begin,
+            }
+
+        results.once("null", str(seed), work)
+
+
+def ranking(results: Results) -> None:
+    for board, skid, name, strength in cells():
+
+        def work(board=board, skid=skid, name=name, strength=strength) -> dict[str, Any]:
+            made = boards.make(board, skid)
+            value = strength * size_of(*settled(boards.case(made), made), name)
+            if not np.isfinite(value):
+                return {"skid": skid, "effect": name, "strength": strength, "value": None}
+            bench, step = settled(boards.case(made, **{name: with_effect(made, name, value)}), made)
+            found = signatures(bench, bench.study, step.optimum.values, step.optimum.start, bench.train)
+            right = wrong = silent = 0
+            for seed in range(DRAWS):
+                ranked = _drawn(bench, step, found, [board, seed])
+                first, alike = ranked[0], confusable(ranked)
+                if first.p_value >= ALPHA:
+                    silent += 1
+                elif first.effect == name or name in alike[first.effect]:
+                    right += 1
+                else:
+                    wrong += 1
+            counts = {"right": right, "wrong": wrong, "silent": silent}
+            return {"skid": skid, "effect": name, "strength": strength, "value": value, **counts}
+
+        results.once("ranking", f"{skid} {name} {strength}", work)
+
+
+def hundred() -> Iterator[tuple[int, str, str, float]]:
+    """(board, structure, effect, strength): twenty effects at each strength, the structures in turn."""
+    for k, strength in enumerate(STRENGTHS):
+        for place in range(20):
+            skid = boards.SKIDS[(k + place) % 2]
+            names = effects_of(skid)
+            yield 2000 + 20 * k + place, skid, names[(place + 4 * k) % len(names)], strength
+
+
+def recorded(board: int, skid: str, name: str, strength: float) -> tuple[Case, float]:
+    """The recording of one of the hundred, and the value of its effect."""
+    made = boards.make(board, skid)
+    value = strength * size_of(*settled(boards.case(made), made), name)
+    return boards.case(made, board, **{name: with_effect(made, name, value)}), value
+
+
+def loop(results: Results) -> None:
+    for board, skid, name, strength in hundred():
+
+        def work(board=board, skid=skid, name=name, strength=strength) -> dict[str, Any]:
+            case, value = recorded(board, skid, name, strength)
+            begin = time.perf_counter()
+            found = explain(case, boards.NOISE, CANDIDATES)
+            seconds = time.perf_counter() - begin
+            mine = next((r for r in found.base.ranking if r.effect == name), None)
+            alike = {r.effect: r.confusable_with for r in found.base.ranking}
+            right = len(found.effects) == 1 and (name in found.effects or name in alike[found.effects[0]])
+            return {
+                "skid": skid,
+                "effect": name,
+                "strength": strength,
+                "value": value,
+                "verdict": found.verdict,
+                "effects": found.effects,
+                "right": right,
+                "predicted": mine and mine.predicted_misfit,
+                "refitted": mine and mine.refit_misfit,
+                "estimate": {n: [e.value, e.sd] for n, e in found.final.estimates.items() if n.startswith("effects.")},
+                "misfit": [found.base.train.misfit, found.final.train.misfit],
+                "seconds": seconds,
+            }
+
+        results.once("loop", f"{skid} {name} {strength}", work)
+
+
+def exhaustive(results: Results) -> None:
+    for board, skid, name, strength in list(hundred())[-YARDSTICK:]:
+
+        def work(board=board, skid=skid, name=name, strength=strength) -> dict[str, Any]:
+            case, _ = recorded(board, skid, name, strength)
+            bench = Bench.of(starting_model(case), case, boards.NOISE, CANDIDATES)
+            step = Step((), refit(bench, (), bench.study.values(), near=False))
+            begin = time.perf_counter()
+            ranked = prospects(bench, step)
+            ours = time.perf_counter() - begin
+            begin = time.perf_counter()
+            misfits = {}
+            for candidate, parts in bench.candidates.items():
+                again = refit(bench, (candidate,), step.optimum.values)
+                misfits[candidate] = again.misfit * again.samples + 2 * len(parts)
+            theirs = time.perf_counter() - begin
+            return {
+                "effect": name,
+                "first": ranked[0].score.effect,
+                "exhaustive": min(misfits, key=lambda n: misfits[n]),
+                "seconds": [ours, theirs],
+            }
+
+        results.once("exhaustive", f"{skid} {name} {strength}", work)
+
+
+def table(results: Results) -> None:
+    """Print what was found."""
+    if lines := results.of("null"):
+        called = [line for line in lines if line["verdict"] != "adequate"]
+        print(f"Boards without an effect: {len(called)} of {len(lines)} called anything but adequate")
+        for line in called:
+            print(f"  board {line['key']} ({line['skid']}): {line['verdict']} {', '.join(line['effects'])}")
+        ps = np.array([line["p"] for line in lines])
+        shares = ", ".join(f"{level:g}: {100 * (ps < level).mean():.1f} %" for level in (0.01, 0.05, 0.2, 0.5))
+        print(f"  share of boards whose smallest family-wise p-value is below {shares}")
+        print(f"  median {statistics.median(line['seconds'] for line in lines):.1f} s a board\n")
+    if lines := results.of("ranking"):
+        _ranking_table([line for line in lines if line["value"] is not None])
+        blind = sorted({f"{line['effect']} ({line['skid']})" for line in lines if line["value"] is None})
+        if blind:
+            print(f"  Not to be seen on its board at any size: {', '.join(blind)}")
+        print()
+    if lines := results.of("loop"):
+        _loop_table(lines)
+    if lines := results.of("exhaustive"):
+        print(f"Against refitting every candidate (AIC), {len(lines)} of the hundred at {STRENGTHS[-1]:g} times")
+        for what, name in (("first", "score"), ("exhaustive", "refits")):
+            print(f"  {name}: first is the true effect on {sum(line[what] == line['effect'] for line in lines)}")
+        ratio = statistics.median(line["seconds"][1] / line["seconds"][0] for line in lines)
+        medians = [statistics.median(line["seconds"][k] for line in lines) for k in range(2)]
+        print(f"  {medians[0]:.2f} s against {medians[1]:.2f} s, ratio {ratio:.0f} (median)")
+
+
+def _ranking_table(lines: list[dict[str, Any]]) -> None:
+    print("Ranking: share of 20 draws with the true effect first and significant / another / none, by strength in")
+    print("multiples of the smallest detectable value (power 0.8)")
+    print(f"  {'effect':20} {'':8}" + "".join(f"{strength:>14g}" for strength in STRENGTHS))
+    rows: dict[tuple[str, str], dict[float, dict[str, Any]]] = {}
+    for line in lines:
+        rows.setdefault((line["effect"], line["skid"]), {})[line["strength"]] = line
+
+    def cell(mine: list[dict[str, Any]]) -> str:
+        total = sum(line[k] for line in mine for k in ("right", "wrong", "silent"))
+        parts = (sum(line[k] for line in mine) / total for k in ("right", "wrong", "silent"))
+        return "/".join(f"{100 * part:.0f}" for part in parts) if total else "-"
+
+    for (effect, skid), mine in sorted(rows.items()):
+        print(f"  {effect:20} {skid:8}" + "".join(f"{cell([mine[s]] if s in mine else []):>14}" for s in STRENGTHS))
+    whole = [cell([line for line in lines if line["strength"] == s]) for s in STRENGTHS]
+    print(f"  {'all':29}" + "".join(f"{text:>14}" for text in whole))
+
+
+def _loop_table(lines: list[dict[str, Any]]) -> None:
+    print(f"The whole loop on {len(lines)} of these boards: right / called adequate / wrong, by strength")
+    for strength in STRENGTHS:
+        mine = [line for line in lines if line["strength"] == strength]
+        right = sum(line["right"] for line in mine)
+        silent = sum(line["verdict"] == "adequate" for line in mine)
+        print(f"  {strength:4g}: {right} / {silent} / {len(mine) - right - silent} of {len(mine)}")
+    for line in lines:
+        if line["verdict"] != "adequate" and not line["right"]:
+            called = f"{line['verdict']} {', '.join(line['effects'])}"
+            print(f"  {line['effect']} ({line['skid']}, {line['strength']:g}): {called}, misfit {line['misfit']}")
+    both = [line for line in lines if line["refitted"] is not None and line["predicted"] is not None]
+    if both:
+        away = [line["predicted"] - line["refitted"] for line in both]
+        print(
+            f"  predicted less refitted misfit of the true effect, {len(both)} boards: median {np.median(away):+.4f},"
+        )
+        print(f"  90 % between {np.quantile(away, 0.05):+.4f} and {np.quantile(away, 0.95):+.4f}")
+    print(f"  median {statistics.median(line['seconds'] for line in lines):.1f} s a board\n")
+
+
+PARTS = {"null": null, "ranking": ranking, "loop": loop, "exhaustive": exhaustive, "table": table}
+
+if __name__ == "__main__":
+    where = Path(sys.argv[2]) if len(sys.argv) > 2 else Path(__file__).with_name("accuracy.jsonl")
+    PARTS[sys.argv[1]](Results(where))
