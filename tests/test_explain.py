@@ -1,11 +1,13 @@
 """The score tests the loop rests on; the loop itself is tested where it is taught, in `test_studies.py`."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from snakejax import TABLE_II, Board, Case, Gait, Model, Noise, Pacejka, Run, Sines, diagnose, simulate
 from snakejax._explain import noise_band
 from snakejax._score import Reduced, confusable, score
-from snakejax.effects import GroundSlope, YawBias
+from snakejax.effects import ComOffset, GripSplit, GroundSlope, YawBias
 
 
 def simulated(size, seed=0):
@@ -23,8 +25,6 @@ CANDIDATES = {"slope": NAMES[1:3], "bias": NAMES[3:]}
 
 @pytest.fixture(scope="module")
 def model():
-    from snakejax import TABLE_II, Board, Model, Pacejka
-
     return Model(Board(**TABLE_II), Pacejka(B=8.0, C=1.4, D=7.0, E=0.0), "free").add(
         slope=GroundSlope(), bias=YawBias()
     )
@@ -56,8 +56,34 @@ def test_candidates_with_one_signature_are_confusable(model):
     assert found["bias"] == ["slope"] and found["slope"] == ["bias"]
 
 
+def test_a_weak_effect_is_confusable_with_what_is_half_like_it_and_a_strong_one_is_not(model):
+    """A column at 45 degrees to the true one leaves half of what it explains: too little of 20, plenty of 2000."""
+    for size, alike in ((0.19, ["slope"]), (1.9, [])):
+        rest = simulated(size)
+        unit = rest.columns / np.sqrt((rest.columns**2).sum(axis=0))
+        half = (unit[:, 1] + unit[:, 3])[:, None] * 20
+        rest = rest._replace(columns=np.concatenate([rest.columns[:, :3], half], axis=1))
+        assert confusable(scored(model, rest))["bias"] == alike
+
+
 def test_the_noise_band_is_that_of_chi_squared():
     """Misfits of pure noise lie within the band but for one in ten thousand."""
     low, high = noise_band(1000, 10)
     draws = np.random.default_rng(0).chisquare(990, 2000) / 1000
     assert np.mean((draws < low) | (draws > high)) < 0.005
+
+
+def test_a_candidate_that_the_runs_cannot_show_is_named_with_the_reason():
+    """Under the coupled structure a split of the grip cancels where the wheelsets steer opposite ways."""
+    model = Model(Board(**TABLE_II, creep_speed=0.01), Pacejka(B=8.0, C=1.4, D=3.0, E=0.0), "coupled")
+    times, noise = jnp.arange(200) / 50, Noise(4e-4, 2.5e-3, "given")
+    gait = Gait(Sines.of([[0.6, 3.0, 0.0]]), Sines.of([[1.2, 3.0, 0.3]]))
+    pose = np.asarray(simulate(model, gait, times).pose)
+    seen = pose + np.random.default_rng(0).normal(size=pose.shape) * np.asarray(noise.channels)
+    runs = (Run("one", "train", times, jnp.asarray(seen), gait),)
+    case = Case("made", "a board made up", "coupled", model.board, runs, noise)
+    candidates = {"grip_split": GripSplit(), "com_offset": ComOffset(), "yaw_bias": YawBias()}
+    base = diagnose(case, noise, candidates, switch=False).base
+    assert [candidate.effect for candidate in base.ranking] == ["yaw_bias"]
+    assert set(base.left_out) == {"grip_split", "com_offset"}
+    assert "changes nothing in these runs" in base.left_out["grip_split"]

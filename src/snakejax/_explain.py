@@ -32,6 +32,7 @@ from ._study import Optimum, inverse
 MOST_EFFECTS = 4
 NOISE_SIGMAS = 4.0
 """Only noise is left where the misfit lies within this many standard deviations of that of noise alone."""
+SILENT = "it changes nothing in these runs that the fitted parameters and the starts do not change as well"
 TELLING = 0.05
 """An effect that lowers the excess of the misfit over noise by less than this share, short of noise, is no help."""
 
@@ -56,6 +57,12 @@ class Stage(NamedTuple):
         """The effects in the model, `lateral_skid` among them where the structure was changed."""
         switched = (LATERAL_SKID,) if self.bench.switched else ()
         return (*switched, *self.step.effects)
+
+    @property
+    def left_out(self) -> dict[str, str]:
+        """The candidates that were not ranked, with the reason: they do not apply, or these runs do not show them."""
+        ranked = {candidate.effect for candidate in self.ranking} | set(self.step.effects)
+        return self.bench.left_out | {name: SILENT for name in self.bench.candidates if name not in ranked}
 
 
 class Explanation(eqx.Module):
@@ -244,7 +251,7 @@ def explain(
     stages = [found.base]
     show(found.base)
     stages += _beyond(found, progress, show)
-    return _concluded(case, noise, stages, found.base.bench, progress)
+    return _concluded(case, noise, stages, progress)
 
 
 def _beyond(found: Diagnosis, progress, show) -> list[Stage]:
@@ -382,15 +389,15 @@ def _placed(ranking: Sequence[Ranked], new: Ranked) -> tuple[Ranked, ...]:
     return (*(r for _, r in sorted(refitted, key=lambda pair: pair[0])), *(r for r in ranking if r.refit is None))
 
 
-def _concluded(case: Case, noise: Noise, stages: list[Stage], base: Bench, progress) -> Explanation:
+def _concluded(case: Case, noise: Noise, stages: list[Stage], progress) -> Explanation:
     last = stages[-1]
     clean = only_noise(last.step.optimum) and heldout_noise(last.bench, last.step, last.judgement)
     if clean:
         verdict = "explained" if last.effects else "adequate"
-        return Explanation(case, noise, tuple(stages), verdict, last.effects, (), dict(base.left_out), None)
+        return Explanation(case, noise, tuple(stages), verdict, last.effects, (), stages[0].left_out, None)
     missing = None
     if len(last.bench.train) > 1:
         # Helpers that do not explain would hide a part of it, so it is counted from the structure alone.
         bare = next(stage for stage in stages if stage.bench is last.bench)
         missing = missing_force(bare.bench, bare.step, progress)
-    return Explanation(case, noise, tuple(stages), "unexplained", (), last.effects, dict(base.left_out), missing)
+    return Explanation(case, noise, tuple(stages), "unexplained", (), last.effects, stages[0].left_out, missing)

@@ -12,8 +12,12 @@ from ._model import Model
 ALPHA = 0.01
 """A candidate is significant where its p-value, corrected for the size of the library, is below this."""
 POWER = 0.8
+NOTHING = 1e-3
+"""A parameter that changes less than this, over its whole domain and in standard deviations, changes nothing."""
 ALIKE = 0.99
 """Two candidates are confusable where the cosine of the angle between their projected signatures is above this."""
+CLEAR = 9.0
+"""So much larger chi^2 of one candidate tells it from another: a likelihood ratio of 90."""
 
 
 class Reduced(NamedTuple):
@@ -34,7 +38,8 @@ class Scored(NamedTuple):
 
     `reduction` is the fall of chi^2 that the linear model predicts, `statistic` the same in units of the residual
     variance, corrected for correlation; `p_value` is corrected for the number of candidates. `detectable`: the smallest
-    values that these data reveal with power 0.8. `signature` (N,) is the direction in residual space, unit length.
+    values that these data reveal with power 0.8. `signature` (N,) is the direction in residual space, unit length, and
+    `span` (N, q) an orthonormal basis of all that its parameters can change.
     """
 
     effect: str
@@ -45,6 +50,7 @@ class Scored(NamedTuple):
     p_value: float
     detectable: dict[str, float]
     signature: np.ndarray
+    span: np.ndarray
 
 
 def reduced(
@@ -96,13 +102,19 @@ def score(
         whole = np.sqrt((E**2).sum(axis=0))
         E = E - A @ (A.T @ E)
         left = np.sqrt((E**2).sum(axis=0))
-        usable = left > 1e-6 * np.where(whole > 0, whole, np.inf)
+        usable = (left > 1e-6 * whole) & (whole * _reach(model, parts) > NOTHING)
         if not usable.any():
             continue
         scored.append(_one(effect, list(parts), E, r, chi2, dof, usable, model, values, rest.block))
     count = max(len(scored), 1)
     corrected = [s._replace(p_value=float(-np.expm1(count * np.log1p(-min(s.p_value, 1 - 1e-16))))) for s in scored]
     return sorted(corrected, key=lambda s: -s.reduction)
+
+
+def _reach(model: Model, parts: Sequence[str]) -> np.ndarray:
+    """The largest values of the parameters `parts`: the ends of their domains, or a unit where these are open."""
+    ends = [np.array([abs(domain.low), abs(domain.high)]) for domain in domains_of(model, parts)]
+    return np.array([end[np.isfinite(end)].max(initial=0.0) or 1.0 for end in ends])
 
 
 def _one(effect, parts, E, r, chi2, dof, usable, model, values, block) -> Scored:
@@ -142,6 +154,7 @@ def _one(effect, parts, E, r, chi2, dof, usable, model, values, block) -> Scored
         float(p_value),
         detectable,
         signature / (size if size > 0 else 1.0),
+        basis(E[:, usable], 1e-6),
     )
 
 
@@ -155,9 +168,16 @@ def _inflation(E: np.ndarray, after: np.ndarray, block: np.ndarray, variance: fl
 
 
 def confusable(scored: Sequence[Scored]) -> dict[str, list[str]]:
-    """For each candidate those whose projected signature these runs cannot tell from its own."""
-    if not scored:
-        return {}
-    S = np.stack([s.signature for s in scored])
-    alike = np.abs(S @ S.T) > ALIKE
+    """For each candidate those that these runs cannot tell from it.
+
+    With s_i the signature of candidate i, S_i its statistic and Q_j the span of candidate j, j would leave
+    S_i (1 - |Q_j^T s_i|^2) of what i explains, and was found to leave S_i - S_j. The two are confusable at any strength
+    where |Q_j^T s_i| > `ALIKE`, and at the strength of a significant i where both of these are below `CLEAR`.
+    """
+    share = np.array([[min(float(((o.span.T @ s.signature) ** 2).sum()), 1.0) for o in scored] for s in scored])
+    size = np.array([s.statistic for s in scored])
+    close = np.maximum(size[:, None] * (1 - share), size[:, None] - size) < CLEAR
+    sure = np.array([s.p_value < ALPHA for s in scored])
+    alike = (share > ALIKE**2) | (sure[:, None] & close)
+    alike = alike | alike.T
     return {s.effect: [o.effect for j, o in enumerate(scored) if alike[i, j] and i != j] for i, s in enumerate(scored)}

@@ -1,12 +1,13 @@
 """An explanation as JSON, and as what a terminal shows of it."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text
 
 from ._diagnose import LATERAL_SKID, Ranked
+from ._effect import Clock, Sensor
 from ._explain import Explanation, Stage
 from ._fit import Estimate
 from ._json import (
@@ -27,6 +28,9 @@ from ._score import ALPHA
 from ._text import add_row, misfit_text, number, plain_table
 from ._units import parameters
 
+CLOSE = 0.9
+"""A variable that predicts so large a share of what the best one does may as well be the cause."""
+
 
 def diagnosis_json(case: Case, noise: Noise, base: Stage, provenance: Json, seconds: Json | None = None) -> Json:
     """The result of `snakejax diagnose`: what an explanation says of the base."""
@@ -40,7 +44,7 @@ def diagnosis_json(case: Case, noise: Noise, base: Stage, provenance: Json, seco
             },
             "runs": runs_json(base.runs),
             "ranking": [ranked_json(r, base) for r in base.ranking],
-            "left_out": [{"effect": name, "why": why} for name, why in base.bench.left_out.items()],
+            "left_out": [{"effect": name, "why": why} for name, why in base.left_out.items()],
             "seconds": seconds,
         }
     )
@@ -164,6 +168,7 @@ def explanation_text(found: Explanation) -> RenderableType:
     lines: list[RenderableType] = [Text(headline(found)), Text(""), table]
     for effect in found.effects or found.partial:
         lines.append(Text(f"{effect}: {sentence(effect, found.final)} {_values(_of(effect, found.final))}"))
+    lines += [Text(line) for line in _twins(found.base, found.effects)]
     if found.missing is not None:
         lines += [Text(""), _dependence(found)]
     lines += [Text(""), _suspects(found.base)]
@@ -182,6 +187,10 @@ def _dependence(found: Explanation) -> RenderableType:
     size = f"The missing force is {number(push)} N along the board and {number(turn)} N m in yaw (root mean square)."
     if missing.shape is None:
         return Group(Text(size), Text("It depends on nothing that these runs could tell."))
+    (first, best), *others = missing.depends_on
+    close = [variable for variable, share in others if share > CLOSE * best]
+    if close:
+        size += f" These runs can hardly tell {first} from {' or '.join(close)}; runs with another gait may."
     advice = "With --out DIR, DIR/missing_force.py is an effect of this form to start one of your own from."
     return Group(Text(size), table, Text(advice))
 
@@ -190,13 +199,34 @@ def diagnosis_text(case: Case, base: Stage) -> RenderableType:
     """The base misfit and the candidates, the confusable ones named."""
     held = "" if base.heldout is None else f", on held-out runs {misfit_text(base.heldout.misfit)}"
     head = f"{case.name}: the base leaves a misfit of {misfit_text(base.train.misfit)}{held} (1 is noise)."
-    lines: list[RenderableType] = [Text(head), Text(""), _suspects(base, 10)]
-    for ranked in base.ranking[:3]:
-        if ranked.confusable_with:
-            lines.append(Text(f"These runs cannot tell {ranked.effect} from {', '.join(ranked.confusable_with)}."))
-    if not any(r.score is not None and r.score.p_value < ALPHA for r in base.ranking):
+    lines: list[RenderableType] = [Text(head), Text(""), _suspects(base, len(base.ranking), detectable=True)]
+    sure = [r.effect for r in base.ranking if r.score is not None and r.score.p_value < ALPHA]
+    if not sure:
         lines.append(Text(f"No candidate is significant at {ALPHA:g}, corrected for their number."))
+    lines += [Text(line) for line in (*_twins(base, sure), *_left_out(base))]
     return Group(*lines)
+
+
+def _twins(stage: Stage, effects: Sequence[str]) -> Iterator[str]:
+    """Which of `effects` these runs cannot tell from others, and where a fault of the measurement is among those."""
+    told: set[frozenset[str]] = set()
+    known = stage.bench.study.model.effects
+    for ranked in stage.ranking:
+        group = frozenset((ranked.effect, *ranked.confusable_with))
+        if ranked.effect not in effects or len(group) < 2 or group in told:
+            continue
+        told.add(group)
+        *others, last = ranked.confusable_with
+        text = f"These runs cannot tell {ranked.effect} from {', '.join(others)}{' or ' if others else ''}{last}."
+        faults = sorted(name for name in group if isinstance(known.get(name), Sensor | Clock))
+        if faults and len(faults) < len(group):
+            text += f" ({', '.join(faults)}: a fault of the measurement, not of the board.)"
+        yield text
+
+
+def _left_out(stage: Stage) -> Iterator[str]:
+    for name, why in stage.left_out.items():
+        yield f"Left out: {name}: {why.rstrip('.')}."
 
 
 def _of(effect: str, stage: Stage) -> Mapping[str, Estimate]:
@@ -221,11 +251,18 @@ def headline(found: Explanation) -> str:
     return f"{found.case.name}: unexplained. Nothing known leaves only noise.{helped}"
 
 
-def _suspects(stage: Stage, most: int = 6) -> RenderableType:
-    titles = ("p", "predicted", "refitted")
-    table = plain_table("candidate at the base", *titles, "expected", right=titles)
+def _suspects(stage: Stage, most: int = 6, detectable: bool = False) -> RenderableType:
+    """The first `most` candidates; `detectable` adds the smallest values that these runs would reveal."""
+    titles = ("p", "predicts", "refit")
+    table = plain_table("candidate", *titles, "expected", *["reveals"] * detectable, right=(*titles, "reveals"))
     for ranked in stage.ranking[:most]:
         p_value = "" if ranked.score is None else f"{ranked.score.p_value:.1g}"
-        misfits = misfit_text(ranked.predicted_misfit), misfit_text(ranked.refit_misfit)
-        add_row(table, ranked.effect, p_value, *misfits, _values(expected(ranked, stage)))
+        first = p_value, misfit_text(ranked.predicted_misfit), misfit_text(ranked.refit_misfit)
+        smallest = {} if ranked.score is None else ranked.score.detectable
+        rows = expected(ranked, stage) or {"": None}
+        for place, (name, estimate) in enumerate(rows.items()):
+            words = "" if estimate is None else f"{estimate.value:.2g} +- {estimate.sd:.1g} {estimate.unit}"
+            reveals = [f"{smallest[f'effects.{ranked.effect}.{name}']:.2g}" if name else ""] * detectable
+            label = f"{ranked.effect}.{name}".rstrip(".")
+            add_row(table, label, *(first if place == 0 else ("",) * 3), words, *reveals)
     return table

@@ -53,7 +53,7 @@ def plain_table(*columns: str, right: Sequence[str] = ()) -> Table:
     """A table without frame; the columns in `right` are aligned on the right."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
     for column in columns:
-        names = column in ("run", "parameter", "model")
+        names = column in ("run", "parameter", "model", "candidate")
         justify = "right" if column in right else "left"
         table.add_column(Text(column), justify=justify, overflow="fold", no_wrap=names)
     return table
