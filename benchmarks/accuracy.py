@@ -33,9 +33,10 @@ import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
 from snakejax import Case, explain  # noqa: E402
-from snakejax._diagnose import Bench, Step, projected, prospects, refit, signatures  # noqa: E402
+from snakejax._diagnose import Bench, Step, prospects, refit, sight  # noqa: E402
 from snakejax._fit import starting_model  # noqa: E402
-from snakejax._score import ALPHA, Scored, confusable, score  # noqa: E402
+from snakejax._score import ALPHA, Scored, confusable  # noqa: E402
+from snakejax._sight import Sight, tested  # noqa: E402
 from snakejax._units import parameters  # noqa: E402
 from snakejax.effects import LIBRARY  # noqa: E402
 
@@ -86,26 +87,24 @@ def settled(case: Case, made: boards.Made) -> tuple[Bench, Step]:
     return bench, Step((), refit(bench, (), {**bench.study.values(), **known}))
 
 
-def scored(bench: Bench, step: Step, seed: int | None = None) -> list[Scored]:
+def seen(bench: Bench, step: Step) -> Sight:
+    """Every candidate beside the base."""
+    return sight(bench, step.optimum.values, step.optimum.start, windows=False)
+
+
+def scored(bench: Bench, step: Step, view: Sight, seed: list[int] | None = None) -> list[Scored]:
     """The candidates beside the base, under the noise of `seed`."""
-    study, runs = bench.study, bench.train
-    found = signatures(bench, study, step.optimum.values, step.optimum.start, runs)
-    return _drawn(bench, step, found, seed)
-
-
-def _drawn(bench, step, found, seed):
-    study, runs = bench.study, bench.train
     if seed is not None:
-        seen = np.asarray(study.batch.weight) > 0
-        found = found._replace(residual=found.residual + seen * np.random.default_rng(seed).normal(size=seen.shape))
+        present = np.asarray(bench.study.batch.weight) > 0
+        noise = present * np.random.default_rng(seed).normal(size=present.shape)
+        view = view._replace(found=view.found._replace(residual=view.found.residual + noise))
     fitted = [name for name in bench.tyre if name not in step.optimum.held]
-    rest = projected(study, found, runs)
-    return score(bench.study.model, study.names, rest, fitted, bench.candidates, step.optimum.values)
+    return tested(view, fitted, bench.candidates, bench.probes()).scores
 
 
 def size_of(bench: Bench, step: Step, name: str) -> float:
     """The smallest value of an effect's first parameter that the runs reveal."""
-    here = next((s for s in scored(bench, step) if s.effect == name), None)
+    here = next((s for s in scored(bench, step, seen(bench, step)) if s.effect == name), None)
     if here is None:
         return np.inf
     return here.detectable[bench.candidates[name][0]]
@@ -147,10 +146,10 @@ def ranking(results: Results) -> None:
             if not np.isfinite(value):
                 return {"skid": skid, "effect": name, "strength": strength, "value": None}
             bench, step = settled(boards.case(made, **{name: with_effect(made, name, value)}), made)
-            found = signatures(bench, bench.study, step.optimum.values, step.optimum.start, bench.train)
+            view = seen(bench, step)
             right = wrong = silent = 0
             for seed in range(DRAWS):
-                ranked = _drawn(bench, step, found, [board, seed])
+                ranked = scored(bench, step, view, [board, seed])
                 first, alike = ranked[0], confusable(ranked)
                 if first.p_value >= ALPHA:
                     silent += 1

@@ -709,7 +709,7 @@ def test_grip_split_says_where_it_is_silent() -> None:
     crab = {"steering_crab": {"o": 0.05}}
     plain, split = (poses(having("coupled", crab | more)) for more in ({}, {"grip_split": {"s": 0.5}}))
     assert np.abs(split - plain).max() > 1e-5, "With angles that are not opposite it is not silent."
-    assert "opposite" in LIBRARY["grip_split"].silent  # type: ignore[attr-defined]
+    assert "opposite" in LIBRARY["grip_split"].silent
 
 
 # --- A user's own ----------------------------------------------------------------------------------------------------

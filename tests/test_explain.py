@@ -86,4 +86,4 @@ def test_a_candidate_that_the_runs_cannot_show_is_named_with_the_reason():
     base = diagnose(case, noise, candidates, switch=False).base
     assert [candidate.effect for candidate in base.ranking] == ["yaw_bias"]
     assert set(base.left_out) == {"grip_split", "com_offset"}
-    assert "changes nothing in these runs" in base.left_out["grip_split"]
+    assert "opposite wheel angles" in base.left_out["grip_split"]

@@ -124,7 +124,7 @@ SHAPES = {
 
 @pytest.mark.parametrize("name", SHAPES)
 def test_the_starter_loads_and_is_neutral_at_its_default(name, tmp_path):
-    text = starter(Missing((), ((SHAPES[name].variable, 1.0),), SHAPES[name], (9.0, 1.0)))
+    text = starter(Missing((), ((SHAPES[name].variable, 1.0),), SHAPES[name], (9.0, 1.0), {}))
     assert len(text.splitlines()) <= 30 and max(map(len, text.splitlines())) <= 120
     (tmp_path / "mine.py").write_text(text)
     kind = effect_class(effect_spec(f"{tmp_path / 'mine.py'}:MissingForce"))

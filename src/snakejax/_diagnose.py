@@ -11,10 +11,10 @@ from scipy import stats
 
 from ._effect import Effect
 from ._fit import default_free, require_sensitive, require_sound, starting_model
-from ._least_squares import Linearised
 from ._model import Model
 from ._recording import Case, Noise
-from ._score import ALPHA, Reduced, Scored, confusable, reduced, score
+from ._score import ALPHA, Scored, confusable
+from ._sight import Sight, tested
 from ._skid import Coupled
 from ._study import DEPENDENT, Optimum, Study
 from ._units import parameters
@@ -110,35 +110,12 @@ class Bench(eqx.Module):
         return found
 
 
-def on_runs(bench: Bench, optimum: Optimum) -> Reduced:
-    """Residuals of whole train runs and the signatures of all candidates there."""
-    study, runs = bench.study, bench.train
-    return projected(study, signatures(bench, study, optimum.values, optimum.start, runs), runs)
-
-
-def on_windows(bench: Bench, values: Mapping[str, float], start: np.ndarray) -> Reduced:
-    """Residuals of the windows and the signatures of all candidates there."""
-    study = bench.windows.study
-    runs = range(len(study.runs))
-    return projected(study, signatures(bench, study, values, start, runs), runs)
-
-
-def signatures(
-    bench: Bench, study: Study, values: Mapping[str, float], start: np.ndarray, runs: Sequence[int]
-) -> Linearised:
-    """Residuals of `runs`, and what a unit of each movable parameter would change of them."""
-    found = linearised(study, values, start, runs)
-    jacobian = found.jacobian.copy()
-    for name, probe in bench.probes().items():
-        if values[name] == 0.0:
-            there = linearised(study, {**values, name: probe}, start, runs, ())
-            jacobian[..., study.names.index(name)] = (there.residual - found.residual) / probe
-    return found._replace(jacobian=jacobian)
-
-
-def projected(study: Study, found: Linearised, runs: Sequence[int]) -> Reduced:
-    """`found` with the starts of `runs` projected out."""
-    return reduced(found, np.asarray(study.batch.free_start), list(runs), np.asarray(study.batch.times), LENGTH)
+def sight(bench: Bench, values: Mapping[str, float], start: np.ndarray, windows: bool) -> Sight:
+    """Every candidate beside the model at `values`, on `windows` or on whole train runs."""
+    study = bench.windows.study if windows else bench.study
+    runs = tuple(range(len(study.runs)) if windows else bench.train)
+    seen = Sight(study, runs, values, start, linearised(study, values, start, runs))
+    return seen.probed({name: probe for name, probe in bench.probes().items() if values[name] == 0.0})
 
 
 class Step(NamedTuple):
@@ -169,18 +146,14 @@ def prospects(bench: Bench, step: Step, progress: Callable[[str], None] = lambda
     """
     remaining = {name: parts for name, parts in bench.candidates.items() if name not in step.effects}
     fitted = [name for name in bench.free(step.effects) if name not in step.optimum.held]
-    names, near = bench.study.names, step.optimum.misfit < NEARLY
+    near = step.optimum.misfit < NEARLY
     if near:
-        values, start = step.optimum.values, None
-        rest = on_runs(bench, step.optimum)
+        values, start = step.optimum.values, step.optimum.start
     else:
         progress("settling on windows")
         settled = _settled(bench, step, fitted)
         values, start = settled.values, settled.start
-        rest = on_windows(bench, values, start)
-    dof = max(rest.residual.size - rest.lost - len(fitted), 1)
-    chi2 = float((rest.residual**2).sum())
-    scores = score(bench.study.model, names, rest, fitted, remaining, values)
+    scores, chi2, dof = tested(sight(bench, values, start, not near), fitted, remaining, bench.probes())
     found = [Prospect(s, {**values, **s.values}, max(chi2 - s.reduction, 0.0) / dof) for s in scores]
     if near:
         return found
@@ -260,10 +233,8 @@ def _grown(bench: Bench, suspects: Suspects, known: set[frozenset[str]]) -> list
     """`suspects` and one more, for the few that promise most."""
     free = bench.free(suspects.effects)
     settled = bench.windows.settle(suspects.values, free, suspects.start, rounds=12)
-    rest = on_windows(bench, settled.values, settled.start)
-    dof = max(rest.residual.size - rest.lost - len(free), 1)
     remaining = {n: parts for n, parts in bench.candidates.items() if n not in suspects.effects}
-    scores = score(bench.study.model, bench.study.names, rest, free, remaining, settled.values)
+    scores, _, dof = tested(sight(bench, settled.values, settled.start, True), free, remaining, bench.probes())
     new = [s for s in scores if frozenset((*suspects.effects, s.effect)) not in known][:BEAM]
 
     def settle(s: Scored) -> Suspects:

@@ -75,6 +75,8 @@ class Effect(Parametrised):
     sentence: ClassVar[str] = ""
     probe: ClassVar[dict[str, float]] = {}
     """Values from which to score parameters whose derivative at the neutral setting does not exist."""
+    silent: ClassVar[str] = "it changes nothing in these runs that the fit and the starts do not change as well."
+    """Why a set of runs may not show this effect at all."""
 
     def refusal(self, model: "Model") -> str | None:
         """Why this effect cannot act on `model`, or None where it can."""

@@ -32,7 +32,6 @@ from ._study import Optimum, inverse
 MOST_EFFECTS = 4
 NOISE_SIGMAS = 4.0
 """Only noise is left where the misfit lies within this many standard deviations of that of noise alone."""
-SILENT = "it changes nothing in these runs that the fitted parameters and the starts do not change as well"
 TELLING = 0.05
 """An effect that lowers the excess of the misfit over noise by less than this share, short of noise, is no help."""
 
@@ -62,7 +61,9 @@ class Stage(NamedTuple):
     def left_out(self) -> dict[str, str]:
         """The candidates that were not ranked, with the reason: they do not apply, or these runs do not show them."""
         ranked = {candidate.effect for candidate in self.ranking} | set(self.step.effects)
-        return self.bench.left_out | {name: SILENT for name in self.bench.candidates if name not in ranked}
+        known = self.bench.study.model.effects
+        silent = {name: known[name].silent for name in self.bench.candidates if name not in ranked}
+        return self.bench.left_out | silent
 
 
 class Explanation(eqx.Module):

@@ -27,13 +27,14 @@ class Missing(NamedTuple):
 
     A share is that part of the misfit above noise which a dependence on this variable alone predicts on runs left out.
     `misfit` is the mean square of the windows' residuals without and with the free force; `shape` is None where no
-    variable predicts anything.
+    variable predicts anything. `values` are the parameters of the model beside which the force acts, by name.
     """
 
     runs: tuple[RunForce, ...]
     depends_on: tuple[tuple[str, float], ...]
     shape: Shape | None
     misfit: tuple[float, float]
+    values: dict[str, float]
 
 
 def missing_force(bench: Bench, step: Step, progress: Callable[[str], None] = lambda _: None) -> Missing:
@@ -53,7 +54,8 @@ def missing_force(bench: Bench, step: Step, progress: Callable[[str], None] = la
     depends_on, shape = dependence(drive, now)
     samples = float((np.asarray(drive.batch.weight) > 0).sum())
     misfit = (settled.cost / samples, float((now.found.residual**2).sum()) / samples)
-    return Missing(_forces(drive, now), depends_on, shape, misfit)
+    values = {name: float(value) for name, value in zip(drive.names, now.point.values, strict=True)}
+    return Missing(_forces(drive, now), depends_on, shape, misfit, values)
 
 
 def _forces(drive: Drive, now: Settled) -> tuple[RunForce, ...]:

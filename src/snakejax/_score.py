@@ -102,7 +102,7 @@ def score(
         whole = np.sqrt((E**2).sum(axis=0))
         E = E - A @ (A.T @ E)
         left = np.sqrt((E**2).sum(axis=0))
-        usable = (left > 1e-6 * whole) & (whole * _reach(model, parts) > NOTHING)
+        usable = (left > 1e-6 * whole) & (whole * np.minimum(_ends(model, parts), 1.0) > NOTHING)
         if not usable.any():
             continue
         scored.append(_one(effect, list(parts), E, r, chi2, dof, usable, model, values, rest.block))
@@ -111,10 +111,9 @@ def score(
     return sorted(corrected, key=lambda s: -s.reduction)
 
 
-def _reach(model: Model, parts: Sequence[str]) -> np.ndarray:
-    """The largest values of the parameters `parts`: the ends of their domains, or a unit where these are open."""
-    ends = [np.array([abs(domain.low), abs(domain.high)]) for domain in domains_of(model, parts)]
-    return np.array([end[np.isfinite(end)].max(initial=0.0) or 1.0 for end in ends])
+def _ends(model: Model, parts: Sequence[str]) -> np.ndarray:
+    """How far the parameters `parts` can be from neutral: the upper ends of their domains, and 1 for a mere number."""
+    return np.array([1.0 if d.unit == "-" else d.high for d in domains_of(model, parts)])
 
 
 def _one(effect, parts, E, r, chi2, dof, usable, model, values, block) -> Scored:
@@ -144,7 +143,10 @@ def _one(effect, parts, E, r, chi2, dof, usable, model, values, block) -> Scored
     spread = {n: float(s) if ok else np.inf for n, s, ok in zip(parts, sd, usable, strict=True)}
     # What the data would reveal once the rest is explained: noise of variance one.
     clean = np.sqrt(np.diag(covariance))
-    detectable = {n: float(needed * s) if ok else np.inf for n, s, ok in zip(parts, clean, usable, strict=True)}
+    smallest = np.where(usable, needed * clean, np.inf)
+    # So far from neutral that the domain ends, or that a relative change is no longer a small one: not to be seen.
+    smallest = np.where(smallest > _ends(model, parts), np.inf, smallest)
+    detectable = {n: float(size) for n, size in zip(parts, smallest, strict=True)}
     return Scored(
         effect,
         ends,

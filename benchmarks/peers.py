@@ -1,0 +1,221 @@
+"""Other ways to find out what a model lacks, on the same recordings: held-out misfit and seconds beside ours.
+
+    pip install pysindy
+    python benchmarks/peers.py FOLDER [CASE ...]
+
+All start from the same base model (four tyre parameters, fitted) and are judged on the same held-out runs, on which
+only the start poses are estimated.
+
+AIC       every effect of the library is refitted beside the base, one at a time; that of the least AIC is kept.
+PySINDy   discrepancy model: the acceleration of the smoothed recording less that of the base model, regressed sparsely
+          (STLSQ) on polynomials of degree 2 in speeds, joint angles and rates, heading and place. Of five thresholds
+          the one whose simulation leaves least of the train runs.
+GP        a Gaussian process (scikit-learn, one length scale a variable) from the same variables to the missing force as
+          our smoother estimates it, on 300 knots, beside the tyre it was estimated with: how much any force that
+          depends on the present state could explain.
+"""
+
+import math
+import statistics
+import sys
+import time
+from pathlib import Path
+
+from snakejax import prepare_jax
+
+prepare_jax()
+
+import equinox as eqx  # noqa: E402
+import jax  # noqa: E402
+import jax.numpy as jnp  # noqa: E402
+import numpy as np  # noqa: E402
+import pysindy  # noqa: E402
+from scipy.signal import savgol_filter  # noqa: E402
+from sklearn.gaussian_process import GaussianProcessRegressor, kernels  # noqa: E402
+
+from snakejax import Accuracy, Force, Model, Motion, explain, load_case, noise_of  # noqa: E402
+from snakejax._cli._setup import Clock, start_jax  # noqa: E402
+from snakejax._diagnose import Bench, Step, base_fit, refit  # noqa: E402
+from snakejax._fit import judged, starting_model  # noqa: E402
+from snakejax._missing import missing_force  # noqa: E402
+from snakejax._study import Study  # noqa: E402
+from snakejax._units import with_parameters  # noqa: E402
+from snakejax._windows import states  # noqa: E402
+from snakejax.effects import LIBRARY  # noqa: E402
+
+CANDIDATES = {name: kind() for name, kind in LIBRARY.items()}
+THRESHOLDS = (0.02, 0.05, 0.1, 0.2, 0.4)
+ROUGH = Accuracy(rtol=1e-5, atol=1e-7, max_steps=12000, derivative="forward")
+"""A regressed force can make a model that no step is small enough for: it is given up, and counts as infinite."""
+KNOTS = 300
+
+
+def variables(motion: Motion) -> jax.Array:
+    """What a force may depend on (12,)."""
+    phi, psi = motion.steering, motion.rotor
+    turn = (jnp.cos(motion.heading), jnp.sin(motion.heading))
+    joints = (phi.angle, phi.rate, psi.angle, psi.rate)
+    return jnp.stack([motion.u, motion.w, motion.r, *joints, *turn, motion.x, motion.y, motion.wheels[0].lateral])
+
+
+class Sparse(Force):
+    """A wrench that is a polynomial of the scaled variables: `powers` (T, 12), `weights` (T, 3)."""
+
+    scale: jax.Array
+    powers: jax.Array
+    weights: jax.Array
+
+    def wrench(self, motion: Motion):
+        v = variables(motion) / self.scale
+        terms = jnp.prod(jnp.where(self.powers == 2, v**2, jnp.where(self.powers == 1, v, 1.0)), axis=1)
+        return tuple(jnp.clip(terms @ self.weights, -50.0, 50.0))
+
+
+class Process(Force):
+    """The mean of a Gaussian process for each component: `seen` (K, 12), `length` (3, 12), `weights` (K, 3)."""
+
+    scale: jax.Array
+    seen: jax.Array
+    length: jax.Array
+    weights: jax.Array
+    mean: jax.Array
+
+    def wrench(self, motion: Motion):
+        v = variables(motion) / self.scale
+        far = jnp.sum(((v - self.seen)[None] / self.length[:, None, :]) ** 2, axis=-1)
+        return tuple(self.mean + jnp.einsum("ck,kc->c", jnp.exp(-far / 2), self.weights))
+
+
+@eqx.filter_jit
+def _along(model: Model, gait, times, start):
+    """Variables (n, 12), and the rates of the state (n, 6), of the model at the states of a recording."""
+
+    def at(t, s):
+        state = model.start_moving(tuple(s[k] for k in range(6)), t, gait)
+        return variables(model.motion(t, state[0], gait)), jnp.stack(model.rates(t, state, gait)[0])
+
+    return jax.vmap(at)(times, start)
+
+
+def discrepancy(model: Model, run) -> tuple[np.ndarray, np.ndarray]:
+    """Variables (n, 12) along a recorded run, and the wrench (n, 3) that its acceleration has beyond the model's."""
+    seen = states(model, run)
+    v, rates = (np.asarray(part) for part in _along(model, run.gait, run.times, jnp.asarray(seen)))
+    step = float(np.median(np.diff(np.asarray(run.times))))
+    m, inertia = float(model.board.mass), float(model.board.total_inertia)
+    coupled = type(model.skid).__name__ == "Coupled"
+    # The columns of `states` and of the rates that are u, w, r, or u and s.
+    pairs = [(3, 4), (None, None), (5, 5)] if coupled else [(3, 3), (4, 4), (5, 5)]
+    wrench = np.zeros((len(seen), 3))
+    for k, ((mine, rate), size) in enumerate(zip(pairs, (m, m, inertia), strict=True)):
+        if mine is not None:
+            wrench[:, k] = size * (savgol_filter(seen[:, mine], 25, 3, deriv=1, delta=step) - rates[:, rate])
+    keep = slice(30, -30)
+    return v[keep], wrench[keep]
+
+
+def misfit(model: Model, case, noise, role: str) -> float:
+    """Misfit of the runs of `role` under a model as it is, only the starts estimated."""
+    found = judged(Study.of(model, case.runs, noise, (), 1, ROUGH), {}, role)
+    return math.inf if found is None or not np.isfinite(found.misfit) else found.misfit
+
+
+def by_aic(case, noise, bench: Bench, step: Step, model: Model) -> tuple[str, float]:
+    best = None
+    for name, parts in bench.candidates.items():
+        try:
+            found = refit(bench, (name,), step.optimum.values, near=False)
+        except RuntimeError:
+            continue
+        aic = found.misfit * found.samples + 2 * len(parts)
+        if np.isfinite(aic) and (best is None or aic < best[0]):
+            best = aic, name, found
+    assert best is not None
+    heldout = judged(bench.study, best[2].values)
+    return best[1], math.inf if heldout is None else heldout.misfit
+
+
+def by_sindy(case, noise, bench: Bench, step: Step, model: Model) -> tuple[str, float]:
+    pairs = [discrepancy(model, run) for run in case.having("train")]
+    scale = np.sqrt(np.mean(np.concatenate([v for v, _ in pairs]) ** 2, axis=0)) + 1e-9
+    size = np.sqrt(np.mean(np.concatenate([w for _, w in pairs]) ** 2, axis=0)) + 1e-9
+    best = None
+    for threshold in THRESHOLDS:
+        library = pysindy.PolynomialLibrary(degree=2)
+        optimizer = pysindy.STLSQ(threshold=threshold, alpha=1.0, normalize_columns=False)
+        A = library.fit([pairs[0][0] / scale]).transform([v / scale for v, _ in pairs])
+        X, y = np.concatenate([np.asarray(a) for a in A]), np.concatenate([w / size for _, w in pairs])
+        weights = np.asarray(optimizer.fit(X, y).coef_).T * size
+        force = Sparse(jnp.asarray(scale), jnp.asarray(np.asarray(library.powers_)), jnp.asarray(weights))
+        train = misfit(model.add(discrepancy=force), case, noise, "train")
+        if best is None or train < best[0]:
+            best = train, f"{int((weights != 0).sum())} terms, train {train:.3g}", force
+    assert best is not None
+    return best[1], misfit(model.add(discrepancy=best[2]), case, noise, "heldout")
+
+
+def by_process(case, noise, bench: Bench, step: Step, model: Model) -> tuple[str, float]:
+    missing = missing_force(bench, step)
+    rows = []
+    for found, run in zip(missing.runs, case.having("train"), strict=True):
+        v, _ = _along(model, run.gait, run.times, jnp.asarray(states(model, run)))
+        at = np.searchsorted(np.asarray(run.times), found.t[1:-1]).clip(0, len(run.times) - 1)
+        rows.append((np.asarray(v)[at], found.force[1:-1], found.sd[1:-1]))
+    V, F, S = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+    pick = np.random.default_rng(0).permutation(len(V))[:KNOTS]
+    scale = V.std(axis=0) + 1e-9
+    V, F, S = V[pick] / scale, F[pick], S[pick]
+    length, weights, mean = np.ones((3, V.shape[1])), np.zeros((len(V), 3)), np.zeros(3)
+    for k in range(3):
+        if not np.isfinite(S[:, k]).all():
+            continue
+        mean[k], size = F[:, k].mean(), F[:, k].std() + 1e-9
+        kernel = kernels.ConstantKernel(1.0) * kernels.RBF(np.full(V.shape[1], 3.0), (0.3, 1e3))
+        process = GaussianProcessRegressor(kernel + kernels.WhiteKernel(0.1), alpha=(S[:, k] / size) ** 2)
+        process.fit(V, (F[:, k] - mean[k]) / size)
+        factor = process.kernel_.k1
+        length[k] = factor.k2.length_scale
+        weights[:, k] = process.alpha_.ravel() * factor.k1.constant_value * size
+    force = Process(*(jnp.asarray(part) for part in (scale, V, length, weights, mean)))
+    known = {name: value for name, value in missing.values.items() if name.startswith("tyre.")}
+    model = with_parameters(model, known).add(residual=force)
+    return f"train {misfit(model, case, noise, 'train'):.3g}", misfit(model, case, noise, "heldout")
+
+
+def ours(case, noise, bench: Bench, step: Step, model: Model) -> tuple[str, float]:
+    found = explain(case, noise, CANDIDATES)
+    what = found.verdict + (": " + ", ".join(found.effects) if found.effects else "")
+    if found.missing is not None:
+        what += f"; depends on {found.missing.depends_on[0][0]}"
+    return what, math.nan if found.final.heldout is None else found.final.heldout.misfit
+
+
+WAYS = {"snakejax": ours, "AIC": by_aic, "PySINDy": by_sindy, "GP": by_process}
+
+
+def main(folder: Path, names: list[str]) -> None:
+    """One line a case and method, and the medians."""
+    start_jax()
+    seconds: dict[str, list[float]] = {}
+    for name in names or sorted(path.name for path in folder.iterdir() if (path / "case.toml").exists()):
+        case = load_case(folder / name)
+        noise = noise_of(case)
+        bench = Bench.of(starting_model(case), case, noise, CANDIDATES)
+        step = Step((), base_fit(bench))
+        model = bench.study.fitted(step.optimum).without(*bench.study.model.effects)
+        heldout = judged(bench.study, step.optimum.values)
+        print(f"{name}: base train {step.optimum.misfit:.4g}, held out {heldout.misfit if heldout else math.nan:.4g}")
+        for way, work in WAYS.items():
+            clock, begin = Clock(), time.perf_counter()
+            try:
+                what, left = work(case, noise, bench, step, model)
+            except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
+                what, left = f"failed: {str(error)[:60]}", math.nan
+            spent = time.perf_counter() - begin - clock.seconds()["compile"]
+            seconds.setdefault(way, []).append(spent)
+            print(f"  {way:9} held out {left:10.4g}   {spent:6.1f} s   {what}", flush=True)
+    print("median seconds: " + ", ".join(f"{way} {statistics.median(found):.1f}" for way, found in seconds.items()))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), sys.argv[2:])
