@@ -10,7 +10,7 @@ import numpy as np
 from scipy import stats
 
 from ._effect import Effect
-from ._fit import default_free, require_sensitive, require_sound, starting_model
+from ._fit import approach, default_free, only_noise, require_sensitive, require_sound, starting_model
 from ._model import Model
 from ._recording import Case, Noise
 from ._score import ALPHA, Scored, confusable
@@ -36,6 +36,8 @@ BEAM = 3
 GAIN = 0.9
 """A further effect must lower the excess of the windows' misfit over noise to this share, or the search ends."""
 REFITTED = 3
+WEAKER = 0.25
+"""The second size of the tyre force from which windows settle."""
 WORKERS = 2
 
 
@@ -317,14 +319,26 @@ def _order(ranked: Ranked) -> tuple[int, float]:
 
 
 def base_fit(bench: Bench, effects: Sequence[str] = (), progress: Callable[[str], None] = lambda _: None) -> Optimum:
-    """The base: the tyre, and `effects` put in from the start, fitted to windows and then to whole train runs."""
-    study, train = bench.study, bench.train
+    """The base: the tyre, and `effects` put in from the start, fitted to windows and then to whole train runs.
+
+    Windows settle from two sizes of the tyre force. Where the fit ends near the noise but not in it, or not at all, the
+    growing horizon is tried too: it may have missed the optimum, which must not be taken for a missing effect.
+    """
+    study, train, free = bench.study, bench.train, bench.free(effects)
     progress("fitting windows")
     require_sensitive(study, study.values(), bench.tyre, train)
-    settled = bench.windows.settle(study.values(), bench.free(effects))
+    weaker = {n: study.values()[n] * WEAKER for n in bench.tyre if n in ("tyre.D", "tyre.k_s")}
+    with ThreadPoolExecutor(WORKERS) as pool:
+        starts = (study.values(), study.values() | weaker)
+        settled = min(pool.map(lambda values: bench.windows.settle(values, free), starts), key=lambda s: s.cost)
     progress("fitting whole runs")
     misfit = settled.cost / max(settled.found.residual.size, 1)
-    return require_sound(study, refit(bench, effects, settled.values, near=misfit < CLOSE), train)
+    found = require_sound(study, refit(bench, effects, settled.values, near=misfit < CLOSE), train)
+    if (only_noise(found) and found.converged) or not found.misfit < HOPELESS:
+        return found
+    first = approach(study, study.values(), free, train, progress)
+    again = study.fit(first.values, free, train, first.start, most=30)
+    return min(found, again, key=lambda one: one.misfit if np.isfinite(one.misfit) else np.inf)
 
 
 def structures(case: Case, kind: str, skid: str | None) -> list[tuple[str, Model]]:

@@ -22,7 +22,19 @@ from ._diagnose import (
     structures,
 )
 from ._effect import Effect
-from ._fit import Estimate, RunScore, Score, estimated, judged, pooled, run_scores, spread
+from ._fit import (
+    NOISE_SIGMAS,
+    Estimate,
+    RunScore,
+    Score,
+    estimated,
+    judged,
+    noise_band,
+    only_noise,
+    pooled,
+    run_scores,
+    spread,
+)
 from ._least_squares import starts_removed
 from ._missing import Missing, missing_force
 from ._recording import Case, Noise
@@ -30,8 +42,6 @@ from ._score import ALPHA
 from ._study import Optimum, inverse
 
 MOST_EFFECTS = 4
-NOISE_SIGMAS = 4.0
-"""Only noise is left where the misfit lies within this many standard deviations of that of noise alone."""
 TELLING = 0.05
 """An effect that lowers the excess of the misfit over noise by less than this share, short of noise, is no help."""
 
@@ -94,24 +104,21 @@ class Explanation(eqx.Module):
         return self.stages[-1]
 
 
-def noise_band(samples: int, estimated_parameters: float) -> tuple[float, float]:
-    """The misfits between which a model of `estimated_parameters` leaves only noise, for `samples` numbers."""
-    dof = max(samples - estimated_parameters, 1.0)
-    centre, width = dof / samples, NOISE_SIGMAS * np.sqrt(2 * dof) / samples
-    return centre - width, centre + width
-
-
-def only_noise(optimum: Optimum) -> bool:
-    """Whether the misfit is that of noise alone."""
-    return bool(optimum.misfit <= noise_band(optimum.samples, len(optimum.loose))[1])
-
-
 def heldout_noise(bench: Bench, step: Step, heldout: Optimum | None) -> bool:
-    """Whether the held-out misfit is that of noise, allowing for the uncertainty of the parameters carried over."""
+    """Whether the held-out misfit is that of noise, allowing for the uncertainty of the parameters carried over.
+
+    Where held-out runs go so far beyond the train runs that this uncertainty cannot be carried over by a linear model,
+    the question is whether one set of parameters leaves only noise of all runs together.
+    """
     if heldout is None:
         return True
     carried = _carried(bench, step, heldout)
-    return bool(heldout.misfit <= noise_band(heldout.samples, 0)[1] + NOISE_SIGMAS * carried / heldout.samples)
+    if heldout.misfit <= noise_band(heldout.samples, 0)[1] + NOISE_SIGMAS * carried / heldout.samples:
+        return True
+    held = bench.study.numbered("heldout")
+    start = step.optimum.start.copy()
+    start[held] = heldout.start[held]
+    return only_noise(bench.study.fit(step.optimum.values, bench.free(step.effects), [*bench.train, *held], start))
 
 
 def _carried(bench: Bench, step: Step, heldout: Optimum) -> float:

@@ -27,6 +27,9 @@ GOOD_START = 1.1
 LOOSE = 0.5
 """A parameter is undetermined where its relative standard error (for E: the standard error) is larger than this."""
 
+NOISE_SIGMAS = 4.0
+"""Only noise is left where the misfit lies within this many standard deviations of that of noise alone."""
+
 
 class FitError(RuntimeError):
     """A fit that cannot succeed: which parameter or run, and why. One line."""
@@ -296,6 +299,18 @@ def described(study: Study, optimum: Optimum) -> Fit:
         heldout,
         tuple(advice(optimum, estimates, combinations)),
     )
+
+
+def noise_band(samples: int, estimated_parameters: float) -> tuple[float, float]:
+    """The misfits between which a model of `estimated_parameters` leaves only noise, for `samples` numbers."""
+    dof = max(samples - estimated_parameters, 1.0)
+    centre, width = dof / samples, NOISE_SIGMAS * np.sqrt(2 * dof) / samples
+    return centre - width, centre + width
+
+
+def only_noise(optimum: Optimum) -> bool:
+    """Whether the misfit is that of noise alone."""
+    return bool(optimum.misfit <= noise_band(optimum.samples, len(optimum.loose))[1])
 
 
 def spread(optimum: Optimum) -> float:

@@ -24,6 +24,12 @@ _ROUNDS, _ROUND = 8, 20
 """A fit starts afresh from where it is after so many steps, and where a parameter meets a bound."""
 
 
+def dependence_of(misfit: float) -> float:
+    """The variance of errors that leave `misfit`, times how many neighbours share one; noise is independent."""
+    misfit = max(1.0, misfit)
+    return misfit * (1.0 + (DEPENDENT - 1.0) * (1.0 - 1.0 / misfit))
+
+
 class Optimum(NamedTuple):
     """Where a fit ended, and all that its statistics need.
 

@@ -18,7 +18,7 @@ from ._model import Model
 from ._recording import Noise, Run
 from ._simulate import Accuracy
 from ._skid import Coupled
-from ._study import DEPENDENT, Study
+from ._study import Study, dependence_of
 
 _linearise = eqx.filter_jit(linearise)
 
@@ -187,7 +187,7 @@ class Windows(eqx.Module):
         cost, damping = self._total(found, now, free), 1e-4
         for _ in range(rounds if free and np.isfinite(cost) else 0):
             pull, strength = study.typical(now, free)
-            weight = DEPENDENT * max(1.0, cost / max(found.residual.size, 1))
+            weight = dependence_of(cost / max(found.residual.size, 1))
             prior = (pull[: len(free)], weight * strength[: len(free)] ** 2)
             step, moves = _newton(found, len(free), study.width, np.asarray(study.batch.free_start), damping, prior)
             trial = dict(now)
@@ -244,7 +244,8 @@ class Windows(eqx.Module):
         """Cost of the residuals and of the distance from what is typical, as `Study.plausibility` weighs them."""
         pull, strength = self.study.typical(values, free)
         far = float(((pull * strength) ** 2).sum())
-        return _cost(found) * (1.0 + DEPENDENT * far / max(found.residual.size, 1))
+        cost = _cost(found)
+        return cost + far * dependence_of(cost / max(found.residual.size, 1)) if np.isfinite(cost) else np.inf
 
 
 def _each(found: Linearised) -> np.ndarray:
