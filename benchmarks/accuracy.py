@@ -97,7 +97,10 @@ def scored(bench: Bench, step: Step, view: Sight, seed: list[int] | None = None)
     if seed is not None:
         present = np.asarray(bench.study.batch.weight) > 0
         noise = present * np.random.default_rng(seed).normal(size=present.shape)
-        view = view._replace(found=view.found._replace(residual=view.found.residual + noise))
+        batch = view.study.batch
+        sd = np.where(present, 1 / np.where(present, np.asarray(batch.weight), 1.0), 0.0)
+        study = eqx.tree_at(lambda s: s.batch.pose, view.study, batch.pose + noise * sd)
+        view = view._replace(study=study, found=view.found._replace(residual=view.found.residual + noise))
     fitted = [name for name in bench.tyre if name not in step.optimum.held]
     return tested(view, fitted, bench.candidates, bench.probes()).scores
 

@@ -116,8 +116,7 @@ def sight(bench: Bench, values: Mapping[str, float], start: np.ndarray, windows:
     """Every candidate beside the model at `values`, on `windows` or on whole train runs."""
     study = bench.windows.study if windows else bench.study
     runs = tuple(range(len(study.runs)) if windows else bench.train)
-    seen = Sight(study, runs, values, start, linearised(study, values, start, runs))
-    return seen.probed({name: probe for name, probe in bench.probes().items() if values[name] == 0.0})
+    return Sight(study, runs, values, start, linearised(study, values, start, runs))
 
 
 class Step(NamedTuple):

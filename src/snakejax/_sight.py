@@ -10,6 +10,9 @@ from ._score import ALPHA, Reduced, Scored, reduced, score
 from ._study import Study
 from ._windows import LENGTH, linearised
 
+NEARER = 0.1
+"""The share of its probe from which a parameter without a slope at zero is scored as well."""
+
 
 class Tested(NamedTuple):
     """The score tests of candidates, best first; `chi2` and `dof` are those of what the starts and the fit leave."""
@@ -45,22 +48,32 @@ class Sight(NamedTuple):
 def tested(
     seen: Sight, fitted: Sequence[str], candidates: Mapping[str, Sequence[str]], probes: Mapping[str, float]
 ) -> Tested:
-    """Score `candidates` beside the `fitted` parameters, those that were probed once more from the value found there.
+    """Score `candidates` beside the `fitted` parameters.
 
-    `probes` as in `Sight.probed`: a secant far from the value found has another shape than the effect has there.
+    A parameter without a derivative at zero is scored by secants, from its value in `probes`, from a `NEARER` one, and
+    from the value found with the better of these: far from that value a secant has another shape than the effect.
     """
-    model, names, values = seen.study.model, seen.study.names, seen.values
+    model, names = seen.study.model, seen.study.names
+    probes = {name: probe for name, probe in probes.items() if seen.values[name] == 0.0}
+
+    def scores(at: Mapping[str, float]) -> dict[str, Scored]:
+        rest = (seen.probed(at) if at else seen).reduced()
+        return {s.effect: s for s in score(model, names, rest, fitted, candidates, seen.values)}
+
+    best = scores(probes)
+    if probes:
+        best = _better(best, scores({name: probe * NEARER for name, probe in probes.items()}), probes)
+        found = {n: s.values[n] for s in best.values() if s.p_value < ALPHA for n in probes.keys() & s.values.keys()}
+        found = {name: value for name, value in found.items() if value > 0}
+        best = _better(best, scores(found), found) if found else best
     rest = seen.reduced()
-    scores = score(model, names, rest, fitted, candidates, values)
-    chi2, dof = float((rest.residual**2).sum()), max(rest.residual.size - rest.lost - len(fitted), 1)
-    nearer = {
-        name: s.values[name]
-        for s in scores
-        for name in s.values
-        if name in probes and values[name] == 0.0 and s.p_value < ALPHA and 0 < s.values[name] < 0.5 * probes[name]
+    dof = max(rest.residual.size - rest.lost - len(fitted), 1)
+    return Tested(sorted(best.values(), key=lambda s: -s.reduction), float((rest.residual**2).sum()), dof)
+
+
+def _better(old: dict[str, Scored], new: dict[str, Scored], probed: Mapping[str, float]) -> dict[str, Scored]:
+    """`old`, and where one of the `probed` parameters explains more in `new`, that."""
+    return {
+        effect: max(s, new.get(effect, s), key=lambda one: one.reduction) if probed.keys() & s.values.keys() else s
+        for effect, s in (new | old).items()
     }
-    if nearer:
-        again = score(model, names, seen.probed(nearer).reduced(), fitted, candidates, values)
-        better = {s.effect: s for s in again if nearer.keys() & s.values.keys()}
-        scores = [max(s, better.get(s.effect, s), key=lambda one: one.reduction) for s in scores]
-    return Tested(sorted(scores, key=lambda s: -s.reduction), chi2, dof)
