@@ -1,6 +1,6 @@
 """How often the diagnosis is right, on boards made up: with each effect at five strengths, and without any.
 
-    python benchmarks/accuracy.py PART [RESULTS]         PART: null, ranking, loop, exhaustive, or table
+    python benchmarks/accuracy.py PART [RESULTS]         PART: null, ranking, loop, strong, exhaustive, table
 
 Each part writes its results line by line into RESULTS (default benchmarks/accuracy.jsonl), and goes on where it was
 stopped; `table` prints what they say, which is kept in benchmarks/accuracy.txt.
@@ -9,6 +9,7 @@ null        400 boards without an effect, the whole loop.
 ranking     every effect at 5 strengths under both structures, 20 draws of the noise. The sensitivities are those of the
             mean recording, and serve all draws; each draw is scored by itself.
 loop        the whole loop on a hundred of these boards, 20 of each strength.
+strong      the whole loop on every effect at a size that one would meet, under both structures.
 exhaustive  twenty of the hundred, all candidates refitted: the yardstick.
 
 Strengths are multiples of the smallest value that the runs reveal with power 0.8, as the tool itself says of the board
@@ -16,6 +17,7 @@ without the effect.
 """
 
 import json
+import math
 import statistics
 import sys
 import time
@@ -42,6 +44,33 @@ from snakejax.effects import LIBRARY  # noqa: E402
 
 CANDIDATES = {name: kind() for name, kind in LIBRARY.items()}
 STRENGTHS = (0.5, 0.75, 1.0, 1.5, 2.5)
+SIZES = {
+    "longitudinal_slip": 0.5,
+    "rolling_resistance": 0.2,
+    "body_drag": 0.5,
+    "quadratic_drag": 5.0,
+    "yaw_damping": 0.03,
+    "yaw_friction": 0.01,
+    "yaw_bias": 0.01,
+    "ground_slope": 0.003,
+    "steering_offset": 0.02,
+    "steering_crab": 0.02,
+    "steering_lag": 0.04,
+    "rotor_lag": 0.04,
+    "steering_gain": 0.05,
+    "rotor_gain": 0.05,
+    "steering_backlash": 0.03,
+    "grip_split": 0.2,
+    "com_offset": 0.015,
+    "tyre_relaxation": 0.04,
+    "tyre_offset": 0.01,
+    "stribeck_grip": 0.3,
+    "grip_gradient": 0.2,
+    "marker_offset": 0.01,
+    "heading_offset": 0.02,
+    "clock_offset": 0.05,
+}
+"""Values of the first parameter of each effect, in its unit."""
 DRAWS, BOARDS, YARDSTICK = 20, 400, 20
 
 
@@ -113,7 +142,7 @@ def size_of(bench: Bench, step: Step, name: str) -> float:
     return here.detectable[bench.candidates[name][0]]
 
 
-def with_effect(made: boards.Made, name: str, value: float) -> Any:
+def with_effect(name: str, value: float) -> Any:
     """The effect with its first parameter at `value`."""
     first = next(iter(parameters(CANDIDATES[name])))
     return eqx.tree_at(lambda e: getattr(e, first), CANDIDATES[name], jnp.asarray(value))
@@ -148,7 +177,7 @@ def ranking(results: Results) -> None:
             value = strength * size_of(*settled(boards.case(made), made), name)
             if not np.isfinite(value):
                 return {"skid": skid, "effect": name, "strength": strength, "value": None}
-            bench, step = settled(boards.case(made, **{name: with_effect(made, name, value)}), made)
+            bench, step = settled(boards.case(made, **{name: with_effect(name, value)}), made)
             view = seen(bench, step)
             right = wrong = silent = 0
             for seed in range(DRAWS):
@@ -179,7 +208,44 @@ def recorded(board: int, skid: str, name: str, strength: float) -> tuple[Case, f
     """The recording of one of the hundred, and the value of its effect."""
     made = boards.make(board, skid)
     value = strength * size_of(*settled(boards.case(made), made), name)
-    return boards.case(made, board, **{name: with_effect(made, name, value)}), value
+    return boards.case(made, board, **{name: with_effect(name, value)}), value
+
+
+def explained(case: Case, skid: str, name: str, value: float) -> dict[str, Any]:
+    """What the whole loop makes of a recording with one effect."""
+    begin = time.perf_counter()
+    found = explain(case, boards.NOISE, CANDIDATES)
+    seconds = time.perf_counter() - begin
+    mine = next((r for r in found.base.ranking if r.effect == name), None)
+    alike = {r.effect: r.confusable_with for r in found.base.ranking}
+    right = len(found.effects) == 1 and (name in found.effects or name in alike[found.effects[0]])
+    return {
+        "skid": skid,
+        "effect": name,
+        "value": value,
+        "verdict": found.verdict,
+        "effects": found.effects,
+        "right": right,
+        "predicted": mine and mine.predicted_misfit,
+        "refitted": mine and mine.refit_misfit,
+        "estimate": {n: [e.value, e.sd] for n, e in found.final.estimates.items() if n.startswith("effects.")},
+        "misfit": [found.base.train.misfit, found.final.train.misfit],
+        "heldout": [stage.heldout.misfit if stage.heldout else None for stage in (found.base, found.final)],
+        "seconds": seconds,
+    }
+
+
+def strong(results: Results) -> None:
+    for skid in boards.SKIDS:
+        for k, name in enumerate(effects_of(skid)):
+
+            def work(k=k, skid=skid, name=name) -> dict[str, Any]:
+                effect = with_effect(name, SIZES[name])
+                return explained(
+                    boards.case(boards.make(3000 + k, skid), 3000 + k, **{name: effect}), skid, name, SIZES[name]
+                )
+
+            results.once("strong", f"{skid} {name}", work)
 
 
 def loop(results: Results) -> None:
@@ -187,26 +253,7 @@ def loop(results: Results) -> None:
 
         def work(board=board, skid=skid, name=name, strength=strength) -> dict[str, Any]:
             case, value = recorded(board, skid, name, strength)
-            begin = time.perf_counter()
-            found = explain(case, boards.NOISE, CANDIDATES)
-            seconds = time.perf_counter() - begin
-            mine = next((r for r in found.base.ranking if r.effect == name), None)
-            alike = {r.effect: r.confusable_with for r in found.base.ranking}
-            right = len(found.effects) == 1 and (name in found.effects or name in alike[found.effects[0]])
-            return {
-                "skid": skid,
-                "effect": name,
-                "strength": strength,
-                "value": value,
-                "verdict": found.verdict,
-                "effects": found.effects,
-                "right": right,
-                "predicted": mine and mine.predicted_misfit,
-                "refitted": mine and mine.refit_misfit,
-                "estimate": {n: [e.value, e.sd] for n, e in found.final.estimates.items() if n.startswith("effects.")},
-                "misfit": [found.base.train.misfit, found.final.train.misfit],
-                "seconds": seconds,
-            }
+            return {"strength": strength, **explained(case, skid, name, value)}
 
         results.once("loop", f"{skid} {name} {strength}", work)
 
@@ -256,6 +303,8 @@ def table(results: Results) -> None:
         print()
     if lines := results.of("loop"):
         _loop_table(lines)
+    if lines := results.of("strong"):
+        _strong_table(lines)
     if lines := results.of("exhaustive"):
         print(f"Against refitting every candidate (AIC), {len(lines)} of the hundred at {STRENGTHS[-1]:g} times")
         for what, name in (("first", "score"), ("exhaustive", "refits")):
@@ -284,6 +333,20 @@ def _ranking_table(lines: list[dict[str, Any]]) -> None:
     print(f"  {'all':29}" + "".join(f"{text:>14}" for text in whole))
 
 
+def _strong_table(lines: list[dict[str, Any]]) -> None:
+    print(
+        f"Every effect at a size one would meet, the whole loop: {sum(line['right'] for line in lines)} of {len(lines)}"
+    )
+    print(f"  {'effect':20} {'':8} {'value':>8} {'found':>20} {'misfit':>20} {'held out':>20}")
+    for line in lines:
+        estimate = next((e for n, e in line["estimate"].items() if n.split(".")[1] == line["effect"]), None)
+        found = "-" if estimate is None else f"{estimate[0]:.4g} +- {estimate[1] or math.nan:.1g}"
+        fall, unseen = (" -> ".join(f"{misfit:.4g}" for misfit in line[key]) for key in ("misfit", "heldout"))
+        wrong = "" if line["right"] else f"  {line['verdict']} {', '.join(line['effects'])}"
+        print(f"  {line['effect']:20} {line['skid']:8} {line['value']:8g} {found:>20} {fall:>20} {unseen:>20}{wrong}")
+    print(f"  median {statistics.median(line['seconds'] for line in lines):.1f} s a board\n")
+
+
 def _loop_table(lines: list[dict[str, Any]]) -> None:
     print(f"The whole loop on {len(lines)} of these boards: right / called adequate / wrong, by strength")
     for strength in STRENGTHS:
@@ -305,7 +368,7 @@ def _loop_table(lines: list[dict[str, Any]]) -> None:
     print(f"  median {statistics.median(line['seconds'] for line in lines):.1f} s a board\n")
 
 
-PARTS = {"null": null, "ranking": ranking, "loop": loop, "exhaustive": exhaustive, "table": table}
+PARTS = {"null": null, "ranking": ranking, "loop": loop, "strong": strong, "exhaustive": exhaustive, "table": table}
 
 if __name__ == "__main__":
     where = Path(sys.argv[2]) if len(sys.argv) > 2 else Path(__file__).with_name("accuracy.jsonl")
