@@ -42,6 +42,8 @@ from ._score import ALPHA
 from ._study import Optimum, inverse
 
 MOST_EFFECTS = 4
+OPEN = 1e-9
+"""What runs left together tell of a parameter at the least, as a share of what all tell: it keeps matrices regular."""
 TELLING = 0.05
 """An effect that lowers the excess of the misfit over noise by less than this share, short of noise, is no help."""
 
@@ -150,24 +152,29 @@ def stage(bench: Bench, change: str, name: str, step: Step, ranking: Sequence[Ra
     )
 
 
-def left_out_misfit(bench: Bench, step: Step) -> float:
-    """Mean squared residual of each train run under parameters fitted to the other train runs, by the linear model.
+def left_out_score(bench: Bench, step: Step) -> float:
+    """-2 log probability of each train run under parameters fitted to the other train runs, by the linear model.
 
-    With N_j and g_j the normal matrix and gradient of run j, starts projected out, leaving out run k moves the
-    parameters by d = -(sum_(j != k) N_j)^-1 sum_(j != k) g_j, and its residual to r_k + J_k d.
+    With r_k, J_k the residual and Jacobian of run k, starts projected out, and N the sum of J_j^T J_j over the other
+    runs, leaving out run k moves the parameters by d = -N^-1 sum_(j != k) J_j^T r_j. Its residual is then
+    r = r_k + J_k d, of variance s^2 V with V = 1 + J_k N^-1 J_k^T: what the others leave open does not count against
+    it. The score is n ln s^2 + ln |V| + r^T V^-1 r / s^2, with s^2 the misfit, at least 1.
     """
     optimum = step.optimum
     loose = [optimum.free.index(name) for name in optimum.loose]
     free_start = np.asarray(bench.study.batch.free_start)
     parts = [starts_removed(optimum.linearised, k, bench.study.width, free_start) for k in bench.train]
-    rest, columns = [r for r, _ in parts], [J[:, loose] for _, J in parts]
-    normals, slopes = [J.T @ J for J in columns], [J.T @ r for J, r in zip(columns, rest, strict=True)]
-    total = 0.0
-    for k, (r, J) in enumerate(zip(rest, columns, strict=True)):
-        others = inverse(sum(normals) - normals[k])
-        moved = -others @ (sum(slopes) - slopes[k])
-        total += float(((r + J @ moved) ** 2).sum())
-    return total / optimum.samples
+    size = np.sqrt(sum((J[:, loose] ** 2).sum(axis=0) for _, J in parts))
+    columns = [J[:, loose] / np.where(size > 0, size, 1.0) for _, J in parts]
+    normals, slopes = [J.T @ J for J in columns], [J.T @ r for J, (r, _) in zip(columns, parts, strict=True)]
+    variance, total = max(optimum.misfit, 1.0), optimum.samples * float(np.log(max(optimum.misfit, 1.0)))
+    for (r, _), J, normal, slope in zip(parts, columns, normals, slopes, strict=True):
+        others = sum(normals) - normal + OPEN * np.eye(len(loose))
+        left = r - J @ np.linalg.solve(others, sum(slopes) - slope)
+        inside = np.linalg.solve(others + normal, J.T @ left)
+        total += float(np.linalg.slogdet(others + normal)[1] - np.linalg.slogdet(others)[1])
+        total += float(left @ left - (J.T @ left) @ inside) / variance
+    return total
 
 
 def better(bench: Bench, now: Step, then: Step) -> bool:
@@ -188,8 +195,10 @@ def better(bench: Bench, now: Step, then: Step) -> bool:
             return False
     if then.optimum.misfit > HOPELESS or len(bench.train) < 2:
         return True
-    present = left_out_misfit(bench, now) if now.optimum.misfit < NEARLY else now.optimum.misfit
-    return left_out_misfit(bench, then) < present
+    present = samples * (1 + np.log(now.optimum.misfit))
+    if now.optimum.misfit < NEARLY:
+        present = left_out_score(bench, now)
+    return left_out_score(bench, then) < present
 
 
 class Question(TypedDict, total=False):
