@@ -1,6 +1,5 @@
 """Other ways to find out what a model lacks, on the same recordings: held-out misfit and seconds beside ours.
 
-    pip install pysindy
     python benchmarks/peers.py FOLDER [CASE ...]
 
 All start from the same base model (four tyre parameters, fitted) and are judged on the same held-out runs, on which

@@ -443,3 +443,30 @@ def test_explain_finds_a_level_board_adequate(say, short, tmp_path):
     assert (found["verdict"], found["effects"], found["steps"]) == ("adequate", [], [])
     assert found["unexplained"] is None and found["final"]["misfit"] == found["base"]["misfit"]
     assert (tmp_path / "fall.png").is_file() and (tmp_path / "explain.json").is_file()
+
+
+@pytest.mark.slow
+def test_sweep_writes_the_curve_and_the_figure(say, tmp_path):
+    said = say("sweep", "paper-rotate", "--vary", "D=1:4:7", "--json", "-", "--quiet", "--out", tmp_path)
+    assert said.status == 0 and said.err == ""
+    found = json.loads(said.out)
+    assert found["D"] == pytest.approx(np.linspace(1, 4, 7).tolist())
+    assert len(found["k_s"]) == len(found["mismatch"]) == 7 and len(found["polynomial"]) == 5
+    assert found["fitted_range"] == [1.0, 4.0] and 0.9 < found["r_squared"] <= 1
+    assert (tmp_path / "sweep.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        (("sweep", "paper-rotate", "--vary", "Q=1:4:7"), "`Q`"),
+        (("sweep", "paper-rotate", "--vary", "load=1:4:7"), "load"),
+        (("sweep", LEVEL, "--vary", "load=1:4:7"), "paper-gait1"),
+        (("sweep", LEVEL, "--vary", "D=1:4:7", "--run", "nothing", "--set", "B=6,C=1.4,D=6,E=0"), "nothing"),
+        (("sweep", "paper-rotate", "--vary", "D=1:4:7", "--model", "rayleigh", "--set", "k_s=9"), "Rayleigh"),
+    ],
+)
+def test_a_sweep_that_cannot_be_made_is_one_line(say, arguments, what):
+    said = say(*arguments)
+    assert said.status == 2 and said.out == ""
+    assert LINE.fullmatch(said.err) and what in said.err

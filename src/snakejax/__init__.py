@@ -56,6 +56,8 @@ if TYPE_CHECKING:
     from ._simulate import motions as motions
     from ._simulate import simulate as simulate
     from ._starter import starter as starter
+    from ._sweep import Sweep as Sweep
+    from ._sweep import nearest_rayleigh as nearest_rayleigh
     from ._tyre import Bakker as Bakker
     from ._tyre import Pacejka as Pacejka
     from ._tyre import Rayleigh as Rayleigh
@@ -78,6 +80,7 @@ _HOMES = {
     "_recording": "Case Noise Run",
     "_simulate": "Accuracy Trajectory motions simulate",
     "_starter": "starter",
+    "_sweep": "Sweep nearest_rayleigh",
     "_tyre": "Bakker Pacejka Rayleigh",
     "_units": "Scalar param",
 }

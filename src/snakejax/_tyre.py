@@ -2,6 +2,7 @@
 
 import abc
 
+import equinox as eqx
 import jax.numpy as jnp
 
 from ._units import Parametrised, Scalar, param
@@ -77,7 +78,7 @@ class Bakker(AbstractTyre):
 
     load: Scalar = param("N", positive=True)
     camber: Scalar = param("rad", default=0.0)
-    offsets: bool = True
+    offsets: bool = eqx.field(static=True, default=True)
 
     def coefficients(self) -> Pacejka:
         """The six coefficients, converted to radians: B [1/rad], C, D [N], E, dSh [rad], dSv [N]."""

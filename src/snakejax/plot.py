@@ -15,6 +15,7 @@ from ._explain import Explanation, Stage
 from ._fit import Fit
 from ._replay import fitted_poses
 from ._study import Optimum, Study
+from ._sweep import FOLLOWS, Sweep
 
 MEASURED, MODELLED, GAP = "0.45", "#c2410c", "0.9"
 BASE, TRAIN, HELDOUT = "#2563eb", "#475569", "#c2410c"
@@ -176,6 +177,23 @@ def missing(found: Explanation) -> Figure:
     names, shares = zip(*found.missing.depends_on, strict=True)
     bars.barh(names[::-1], 100 * np.array(shares[::-1]), color=TRAIN)
     bars.set(xlabel="share of the excess that each variable predicts on runs it was not fitted to [%]", xlim=(0, 100))
+    return figure
+
+
+def sweep(found: Sweep, name: str, title: str = "") -> Figure:
+    """k_s [N s/m] against the parameter `name`, with its polynomial, and the mismatch of the two paths [%]."""
+    figure = Figure(figsize=(6.4, 5.6), layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2.0, 1.0))
+    above.plot(found.values, found.k_s, "o", color=MEASURED, ms=4, label="nearest Rayleigh board")
+    if found.polynomial is not None and found.fitted_range is not None:
+        x = np.linspace(*found.fitted_range, 200)
+        label = f"order 4, $R^2$ = {found.r_squared:.5f}"
+        above.plot(x, np.polyval(found.polynomial, x), color=MODELLED, lw=1.2, label=label)
+    above.set(ylabel="$k_s$ [N s/m]", title=title)
+    above.legend(fontsize="small")
+    below.plot(found.values, 100 * found.mismatch, ".-", color=TRAIN)
+    below.axhline(100 * FOLLOWS, color="0.2", lw=1, ls=":")
+    below.set(xlabel=name, ylabel="rms distance\n[% of the path]", ylim=(0, None))
     return figure
 
 

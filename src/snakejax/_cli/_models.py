@@ -60,12 +60,27 @@ def wanted_model(options: argparse.Namespace, subject: Case | Preset) -> Wanted:
     except ValueError as error:
         raise InputError(str(error).rstrip("."), "option --effect", "leave it out or take another --skid") from None
     if saved:
-        model = _with(model, saved.values, f"option --from {options.saved}")
+        model = valued(model, saved.values, f"option --from {options.saved}")
         given |= {chosen(model, [name])[0] for name in saved.values}
     values = assignments(",".join(options.set or ()), "option --set")
-    model = _with(model, values, "option --set")
+    model = valued(model, values, "option --set")
     named = {chosen(model, [name])[0] for name in values}
     return Wanted(model, frozenset(held | named), frozenset(given | named))
+
+
+def require_given(options: argparse.Namespace, wanted: Wanted, own: bool) -> None:
+    """**Raises:** `InputError` for a parameter that has no value; `own`: the tyre has values of its own."""
+    missing = [name for name in wanted.free if name not in wanted.given]
+    effects = [name.split(".", 1)[1] for name in missing if name.startswith("effects.")]
+    if effects:
+        effect, parameter = effects[0].split(".", 1)
+        what = f"Effect `{effect}` has no value for `{parameter}`"
+        raise InputError(what, "option --effect", f"write {effect}:{parameter}=NUMBER")
+    tyre = [name.removeprefix("tyre.") for name in missing if name.startswith("tyre.")]
+    if tyre and not own:
+        where = "option --set" if options.set else "option --model"
+        remedy = f"write --set {','.join(f'{name}=NUMBER' for name in tyre)}, or name a saved fit with --from"
+        raise InputError(f"{', '.join(tyre)} {'has' if len(tyre) == 1 else 'have'} no value", where, remedy)
 
 
 def _base(
@@ -143,7 +158,7 @@ def effect_class(spec: EffectSpec) -> type[Effect]:
     return found
 
 
-def _with(model: Model, values: Mapping[str, float], where: str) -> Model:
+def valued(model: Model, values: Mapping[str, float], where: str) -> Model:
     """`model` with `values`; what is wrong with them is said of `where`."""
     try:
         return with_parameters(model, {_only(model, name, where): value for name, value in values.items()})

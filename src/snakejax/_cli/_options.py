@@ -49,6 +49,12 @@ def add_cases(command: Any, presets: bool = False) -> None:
     command.add_argument("--quiet", action="store_true", help="print nothing but complaints and --json -")
 
 
+def add_loading(command: Any) -> None:
+    """What the gaits of the paper's Table I carry."""
+    command.add_argument("--load", type=float, metavar="N", help="paper-gait1 and paper-gait2: load on a wheelset [N]")
+    command.add_argument("--camber", type=float, metavar="RAD", help="paper-gait1 and paper-gait2: camber [rad]")
+
+
 def add_model(command: Any) -> None:
     """What model to take."""
     command.add_argument("--model", choices=MODELS, help="tyre law (default pacejka, or that of the preset)")
@@ -128,6 +134,28 @@ def finite(text: str, where: str, what: str) -> float:
     if not math.isfinite(value):
         raise InputError(f"{what} has no finite number", where, "write a number such as 0.25")
     return value
+
+
+class Varied(NamedTuple):
+    """One `--vary`: a parameter and the values it takes."""
+
+    name: str
+    low: float
+    high: float
+    count: int
+
+
+def varied(text: str) -> Varied:
+    """`D=0.5:10:41`. **Raises:** `InputError`."""
+    where, remedy = "option --vary", "write NAME=FIRST:LAST:COUNT, as in D=0.5:10:41"
+    name, _, values = text.partition("=")
+    parts = values.split(":")
+    if not name.strip() or len(parts) != 3:
+        raise InputError(f"`{text}` names no values", where, remedy)
+    low, high = (finite(part, where, f"`{text}`") for part in parts[:2])
+    if not parts[2].strip().isdigit() or int(parts[2]) < 2 or not low < high:
+        raise InputError(f"`{text}` is no ascending row of two values or more", where, remedy)
+    return Varied(name.strip(), low, high, int(parts[2]))
 
 
 def start_pose(text: str | None) -> tuple[float, float, float] | None:

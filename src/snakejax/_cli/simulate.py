@@ -5,8 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from .._errors import InputError
-from ._options import add_cases, add_command, add_model, given, start_pose
+from ._options import add_cases, add_command, add_loading, add_model, given, start_pose
 from ._setup import Clock, Outcome, Say, each_case
 from .fit import fitted
 
@@ -31,8 +30,7 @@ def add(commands: Any) -> None:
         help="start pose in m and rad (default: estimated, or the origin for a preset)",
     )
     command.add_argument("--csv", metavar="DIR", help="write RUN.csv there for each run: " + COLUMNS.replace(",", ", "))
-    command.add_argument("--load", type=float, metavar="N", help="paper-gait1 and paper-gait2: load on a wheelset [N]")
-    command.add_argument("--camber", type=float, metavar="RAD", help="paper-gait1 and paper-gait2: camber [rad]")
+    add_loading(command)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -101,10 +99,10 @@ def _of_preset(options: argparse.Namespace, subject: Any) -> tuple:
     import numpy as np
 
     from .._recording import Run
-    from ._models import wanted_model
+    from ._models import require_given, wanted_model
 
     wanted = wanted_model(options, subject)
-    _require_given(options, wanted, own=options.model is None)
+    require_given(options, wanted, own=options.model is None)
     run_ = Run(subject.name, "preset", subject.times, jnp.full((subject.times.shape[0], 3), jnp.nan), subject.gait)
     return wanted.model, (run_,), np.array([start_pose(options.start) or (0.0, 0.0, 0.0)]), None, (), {}
 
@@ -114,17 +112,17 @@ def _of_case(options: argparse.Namespace, case: Any, say: Say) -> tuple:
     from .._fit import run_scores
     from .._replay import fitted_starts, starts_of
     from .._study import Study
-    from ._models import wanted_model
+    from ._models import require_given, wanted_model
 
     pose = start_pose(options.start)
     wanted = wanted_model(options, case)
     if not (options.set or options.saved):
-        _require_given(options, wanted, own=True)
+        require_given(options, wanted, own=True)
         found, noise = fitted(options, case, say)
         if pose is not None:
             return found.model, case.runs, starts_of(case.runs, pose), noise, (), found.estimates
         return found.model, case.runs, fitted_starts(found), noise, (*found.runs, *found.heldout), found.estimates
-    _require_given(options, wanted, own=False)
+    require_given(options, wanted, own=False)
     if pose is not None:
         return wanted.model, case.runs, starts_of(case.runs, pose), case.noise, (), {}
     say("estimating where the runs start")
@@ -133,21 +131,6 @@ def _of_case(options: argparse.Namespace, case: Any, say: Say) -> tuple:
     optimum = study.fit({}, (), range(len(case.runs)))
     scores = run_scores(study, optimum, range(len(case.runs)))
     return wanted.model, case.runs, optimum.start, noise, scores, {}
-
-
-def _require_given(options: argparse.Namespace, wanted: Any, own: bool) -> None:
-    """**Raises:** `InputError` for a parameter that has no value; `own`: the tyre has values of its own."""
-    missing = [name for name in wanted.free if name not in wanted.given]
-    effects = [name.split(".", 1)[1] for name in missing if name.startswith("effects.")]
-    if effects:
-        effect, parameter = effects[0].split(".", 1)
-        what = f"Effect `{effect}` has no value for `{parameter}`"
-        raise InputError(what, "option --effect", f"write {effect}:{parameter}=NUMBER")
-    tyre = [name.removeprefix("tyre.") for name in missing if name.startswith("tyre.")]
-    if tyre and not own:
-        where = "option --set" if options.set else "option --model"
-        remedy = f"write --set {','.join(f'{name}=NUMBER' for name in tyre)}, or name a saved fit with --from"
-        raise InputError(f"{', '.join(tyre)} {'has' if len(tyre) == 1 else 'have'} no value", where, remedy)
 
 
 def _pooled(scores: Sequence[Any]) -> Any:
