@@ -60,8 +60,9 @@ def rayleigh(model: Model, k_s: float) -> Model:
 def nearest_rayleigh(models: Sequence[Model], values: Sequence[float], gait: Gait, times: Float[Array, " n"]) -> Sweep:
     """For each of `models` the Rayleigh board nearest to it: least rms distance of (x, y) over time.
 
-    The search takes the best of a grid of k_s and refines it by Levenberg-Marquardt in ln k_s (optimistix). No k_s is
-    given where the mismatch is above `FOLLOWS`, or the best is at an end of the grid.
+    The search takes the best of a grid of k_s and refines it by golden sections of ln k_s (optimistix): where the two
+    paths stay apart, least squares would converge slowly. No k_s is given where the mismatch is above `FOLLOWS`, or
+    the best is at an end of the grid.
 
     Source: Salman et al., CDC 2016, Figs. 5 to 8.
     """
@@ -84,24 +85,22 @@ def nearest_rayleigh(models: Sequence[Model], values: Sequence[float], gait: Gai
 
 @eqx.filter_jit
 def _refined(models: Model, paths: Array, start: Array, gait: Gait, times: Array) -> tuple[Array, Array]:
-    """(k_s, rms distance [m]) of each lane, from ln k_s at `start`."""
-    solver = optx.LevenbergMarquardt(rtol=1e-7, atol=1e-9)
-    widest = float(np.log(GRID[1] / GRID[0]))
+    """(k_s, rms distance [m]) of each lane, the least between the neighbours on the grid of ln k_s = `start`."""
+    solver = optx.GoldenSearch(rtol=0.0, atol=1e-5)
+    step = float(np.log(GRID[1] / GRID[0]))
 
     def one(lane):
         model, path, begin = lane
 
-        def residual(z, _):
-            # A step of the grid each way at most: the minimum lies between its neighbours.
-            k_s = jnp.exp(begin + widest * jnp.tanh(z))
-            there = eqx.tree_at(lambda m: m.tyre.k_s, model, k_s)
+        def distance(above, _):
+            there = eqx.tree_at(lambda m: m.tyre.k_s, model, jnp.exp(begin - step + above))
             pose = simulate(there, gait, times, accuracy=ACCURACY, throw=False).pose[:, :2]
-            return (pose - path) / jnp.sqrt(times.shape[0])
+            return jnp.sqrt(jnp.mean(jnp.sum((pose - path) ** 2, axis=-1)))
 
-        zero = jnp.zeros(())
-        solution = optx.least_squares(residual, solver, zero, options={"jac": "fwd"}, max_steps=40, throw=False)
-        z = jnp.where(jnp.isfinite(solution.value), solution.value, 0.0)
-        return jnp.exp(begin + widest * jnp.tanh(z)), jnp.linalg.norm(residual(z, None))
+        # optimistix places its first point rightly only where the interval begins at zero.
+        ends = {"lower": 0.0, "upper": 2 * step}
+        found = optx.minimise(distance, solver, jnp.asarray(step), options=ends, max_steps=60, throw=False).value
+        return jnp.exp(begin - step + found), distance(found, None)
 
     return jax.lax.map(one, (models, paths, start))
 
