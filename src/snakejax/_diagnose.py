@@ -318,24 +318,33 @@ def _order(ranked: Ranked) -> tuple[int, float]:
 
 
 def base_fit(bench: Bench, effects: Sequence[str] = (), progress: Callable[[str], None] = lambda _: None) -> Optimum:
-    """The base: the tyre, and `effects` put in from the start, fitted to windows and then to whole train runs.
+    """The base: the tyre, and `effects` put in from the start, fitted to windows and then to whole train runs."""
+    require_sensitive(bench.study, bench.study.values(), bench.tyre, bench.train)
+    return require_sound(bench.study, fresh_fit(bench, effects, bench.study.values(), progress), bench.train)
+
+
+def fresh_fit(
+    bench: Bench, effects: Sequence[str], values: Mapping[str, float], progress: Callable[[str], None] = lambda _: None
+) -> Optimum:
+    """The tyre fitted from where it began, and `effects` from `values`, to windows and then to whole train runs.
 
     Windows settle from two sizes of the tyre force. Where the fit ends near the noise but not in it, or not at all, the
     growing horizon is tried too: it may have missed the optimum, which must not be taken for a missing effect.
     """
     study, train, free = bench.study, bench.train, bench.free(effects)
     progress("fitting windows")
-    require_sensitive(study, study.values(), bench.tyre, train)
-    weaker = {n: study.values()[n] * WEAKER for n in bench.tyre if n in ("tyre.D", "tyre.k_s")}
+    began = {name: study.values()[name] for name in bench.tyre}
+    weaker = {name: value * WEAKER for name, value in began.items() if name in ("tyre.D", "tyre.k_s")}
+    values = {name: _off_zero(bench, name, value) if name in free else value for name, value in values.items()} | began
     with ThreadPoolExecutor(WORKERS) as pool:
-        starts = (study.values(), study.values() | weaker)
-        settled = min(pool.map(lambda values: bench.windows.settle(values, free), starts), key=lambda s: s.cost)
+        settled = pool.map(lambda start: bench.windows.settle(start, free), (values, values | weaker))
+        best = min(settled, key=lambda s: s.cost)
     progress("fitting whole runs")
-    misfit = settled.cost / max(settled.found.residual.size, 1)
-    found = require_sound(study, refit(bench, effects, settled.values, near=misfit < CLOSE), train)
+    misfit = best.cost / max(best.found.residual.size, 1)
+    found = refit(bench, effects, best.values, near=misfit < CLOSE)
     if (only_noise(found) and found.converged) or not found.misfit < HOPELESS:
         return found
-    first = approach(study, study.values(), free, train, progress)
+    first = approach(study, values, free, train, progress)
     again = study.fit(first.values, free, train, first.start, most=30)
     return min(found, again, key=lambda one: one.misfit if np.isfinite(one.misfit) else np.inf)
 

@@ -17,6 +17,7 @@ from ._diagnose import (
     Step,
     accomplices,
     base_fit,
+    fresh_fit,
     rank,
     refit,
     structures,
@@ -315,7 +316,7 @@ def _follow(bench, step, ranking, before, progress, show) -> list[Stage]:
                 break
         if found is None:
             break
-        name, step = found
+        name, step = found[0], _polished(bench, found[1], progress)
         ranking = tuple(rank(bench, step, progress=progress))
         stages.append(stage(bench, "added", name, step, ranking))
         show(stages[-1])
@@ -332,6 +333,14 @@ def _follow(bench, step, ranking, before, progress, show) -> list[Stage]:
             stages.append(stage(bench, "dropped", name, step))
             show(stages[-1])
     return stages
+
+
+def _polished(bench: Bench, step: Step, progress) -> Step:
+    """`step`, or a better optimum of the same model where it ended near the noise but not in it."""
+    if only_noise(step.optimum) or not step.optimum.misfit < HOPELESS:
+        return step
+    again = fresh_fit(bench, step.effects, step.optimum.values, progress)
+    return Step(step.effects, again) if again.misfit < step.optimum.misfit else step
 
 
 def _certain(bench: Bench, step: Step, name: str) -> bool:
