@@ -205,9 +205,10 @@ def hundred() -> Iterator[tuple[int, str, str, float]]:
 
 
 def recorded(board: int, skid: str, name: str, strength: float) -> tuple[Case, float]:
-    """The recording of one of the hundred, and the value of its effect."""
+    """The recording of one of the hundred, and the value of its effect: where none is detectable, one of `SIZES`."""
     made = boards.make(board, skid)
-    value = strength * size_of(*settled(boards.case(made), made), name)
+    size = size_of(*settled(boards.case(made), made), name)
+    value = strength * (size if np.isfinite(size) else SIZES[name])
     return boards.case(made, board, **{name: with_effect(name, value)}), value
 
 
