@@ -287,9 +287,12 @@ def exhaustive(results: Results) -> None:
 
 def table(results: Results) -> None:
     """Print what was found."""
+    for part, wanted in (("null", BOARDS), ("ranking", len([*cells()])), ("loop", 100), ("exhaustive", YARDSTICK)):
+        if len(results.of(part)) < wanted:
+            print(f"Not complete: {len(results.of(part))} of {wanted} of `{part}`")
     if lines := results.of("null"):
         called = [line for line in lines if line["verdict"] != "adequate"]
-        print(f"Boards without an effect: {len(called)} of {len(lines)} called anything but adequate")
+        print(f"\nBoards without an effect: {len(called)} of {len(lines)} called anything but adequate")
         for line in called:
             print(f"  board {line['key']} ({line['skid']}): {line['verdict']} {', '.join(line['effects'])}")
         ps = np.array([line["p"] for line in lines])
@@ -307,7 +310,7 @@ def table(results: Results) -> None:
     if lines := results.of("strong"):
         _strong_table(lines)
     if lines := results.of("exhaustive"):
-        print(f"Against refitting every candidate (AIC), {len(lines)} of the hundred at {STRENGTHS[-1]:g} times")
+        print(f"Against refitting every candidate (AIC), {len(lines)} of the hundred")
         for what, name in (("first", "score"), ("exhaustive", "refits")):
             print(f"  {name}: first is the true effect on {sum(line[what] == line['effect'] for line in lines)}")
         ratio = statistics.median(line["seconds"][1] / line["seconds"][0] for line in lines)
