@@ -73,3 +73,16 @@ def test_a_rayleigh_board_keeps_what_needs_no_slip_angle() -> None:
 def test_values_that_are_none_are_refused(text) -> None:
     with pytest.raises(InputError, match="--vary"):
         varied(text)
+
+
+@pytest.mark.slow
+def test_where_an_effect_is_varied_each_board_is_compared_with_rayleigh_boards_that_have_it() -> None:
+    from snakejax.effects import BodyDrag
+
+    example = preset("paper-forward")
+    base = example.model.add(body_drag=BodyDrag())
+    models = [with_parameters(base, {"effects.body_drag.c": c}) for c in (0.0, 30.0)]
+    together = nearest_rayleigh(models, [0.0, 30.0], example.gait, example.times)
+    alone = nearest_rayleigh(models[1:], [30.0], example.gait, example.times)
+    assert together.mismatch[1] == pytest.approx(alone.mismatch[0], rel=1e-9)
+    np.testing.assert_allclose(together.k_s[1], alone.k_s[0], rtol=1e-9)

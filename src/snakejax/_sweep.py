@@ -68,15 +68,13 @@ def nearest_rayleigh(models: Sequence[Model], values: Sequence[float], gait: Gai
     """
     paths = simulated(stacked(models), gait, times)[..., :2]
     length = jnp.sum(jnp.linalg.norm(jnp.diff(paths, axis=1), axis=-1), axis=1)
-    same = all(bool(eqx.tree_equal(models[0].board, model.board)) for model in models)
-    if same:
-        trial = simulated(stacked([rayleigh(models[0], k) for k in GRID]), gait, times)[None, ..., :2]
-    else:
-        trial = jnp.stack([simulated(stacked([rayleigh(m, k) for k in GRID]), gait, times)[..., :2] for m in models])
+    boards = [rayleigh(model, 1.0) for model in models]
+    # Where only the tyre is varied, one row of Rayleigh boards serves all.
+    rows = models[:1] if all(bool(eqx.tree_equal(boards[0], board)) for board in boards) else models
+    trial = jnp.stack([simulated(stacked([rayleigh(m, k) for k in GRID]), gait, times)[..., :2] for m in rows])
     distance = jnp.sqrt(jnp.mean(jnp.sum((trial - paths[:, None]) ** 2, axis=-1), axis=-1))
     first = np.asarray(jnp.argmin(jnp.where(jnp.isfinite(distance), distance, jnp.inf), axis=1))
-    boards = stacked([rayleigh(model, 1.0) for model in models])
-    k_s, rms = _refined(boards, paths, jnp.log(jnp.asarray(GRID[first])), gait, times)
+    k_s, rms = _refined(stacked(boards), paths, jnp.log(jnp.asarray(GRID[first])), gait, times)
     mismatch = np.asarray(rms / length)
     inside = (first > 0) & (first < len(GRID) - 1)
     found = np.where(inside & (mismatch < FOLLOWS), np.asarray(k_s), np.nan)
