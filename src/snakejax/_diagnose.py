@@ -10,7 +10,7 @@ import numpy as np
 from scipy import stats
 
 from ._effect import Effect
-from ._fit import approach, default_free, only_noise, require_sensitive, require_sound, starting_model
+from ._fit import approach, default_free, least, only_noise, require_sensitive, require_sound, starting_model
 from ._model import Model
 from ._recording import Case, Noise
 from ._score import ALPHA, Scored, confusable
@@ -345,8 +345,7 @@ def fresh_fit(
     if (only_noise(found) and found.converged) or not found.misfit < HOPELESS:
         return found
     first = approach(study, values, free, train, progress)
-    again = study.fit(first.values, free, train, first.start, most=30)
-    return min(found, again, key=lambda one: one.misfit if np.isfinite(one.misfit) else np.inf)
+    return least(found, study.fit(first.values, free, train, first.start, most=30))
 
 
 def structures(case: Case, kind: str, skid: str | None) -> list[tuple[str, Model]]:

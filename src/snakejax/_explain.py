@@ -30,6 +30,7 @@ from ._fit import (
     Score,
     estimated,
     judged,
+    least,
     noise_band,
     only_noise,
     pooled,
@@ -282,15 +283,18 @@ def _beyond(found: Diagnosis, progress, show) -> list[Stage]:
         return _follow(bench, step, ranking, [], progress, show)
     best = min((r.refit_misfit for r in ranking if r.refit is not None), default=np.inf)
     other, there = found.switched
-    if there.optimum.misfit <= best and better_structure(step, there):
+
+    def on_the_other(show: Callable[[Stage], None]) -> list[Stage]:
         first = stage(other, "added", LATERAL_SKID, there, rank(other, there, progress=progress))
         show(first)
         return _follow(other, there, first.ranking, [first], progress, show)
-    here = _follow(bench, step, ranking, [], progress, lambda _: None)
+
+    if there.optimum.misfit <= best and better_structure(step, there):
+        return on_the_other(show)
+    here = _follow(bench, step, ranking, [], progress, _silent)
     if not (here and only_noise(here[-1].step.optimum)):
         # This structure does not explain by itself: follow the other one too, and keep what gets further.
-        first = stage(other, "added", LATERAL_SKID, there, rank(other, there, progress=progress))
-        beside = _follow(other, there, first.ranking, [first], progress, lambda _: None)
+        beside = on_the_other(_silent)
         reached = here[-1].step.optimum.misfit if here else step.optimum.misfit
         here = beside if beside[-1].step.optimum.misfit < reached else here
     for one in here:
@@ -340,7 +344,7 @@ def _polished(bench: Bench, step: Step, progress) -> Step:
     if only_noise(step.optimum) or not step.optimum.misfit < HOPELESS:
         return step
     again = fresh_fit(bench, step.effects, step.optimum.values, progress)
-    return Step(step.effects, again) if again.misfit < step.optimum.misfit else step
+    return Step(step.effects, least(step.optimum, again))
 
 
 def _certain(bench: Bench, step: Step, name: str) -> bool:

@@ -191,8 +191,13 @@ def fit_study(
     progress("fitting whole runs")
     optimum = study.fit(best.values, free, train, best.start, threshold=threshold)
     if not optimum.misfit < LACKING and free:
-        optimum = min(optimum, shot(study, free, train, threshold, progress), key=lambda one: one.misfit)
+        optimum = least(optimum, shot(study, free, train, threshold, progress))
     return described(study, require_sound(study, optimum, train))
+
+
+def least(*optima: Optimum) -> Optimum:
+    """The one of least misfit; one that is not finite only where none is."""
+    return min(optima, key=lambda one: one.misfit if np.isfinite(one.misfit) else np.inf)
 
 
 def shot(study: Study, free: Sequence[str], runs: Sequence[int], threshold: float, progress) -> Optimum:

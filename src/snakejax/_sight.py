@@ -56,17 +56,17 @@ def tested(
     model, names = seen.study.model, seen.study.names
     probes = {name: probe for name, probe in probes.items() if seen.values[name] == 0.0}
 
-    def scores(at: Mapping[str, float]) -> dict[str, Scored]:
-        rest = (seen.probed(at) if at else seen).reduced()
+    def scores(rest: Reduced) -> dict[str, Scored]:
         return {s.effect: s for s in score(model, names, rest, fitted, candidates, seen.values)}
 
-    best = scores(probes)
+    rest = (seen.probed(probes) if probes else seen).reduced()
+    best = scores(rest)
     if probes:
-        best = _better(best, scores({name: probe * NEARER for name, probe in probes.items()}), probes)
+        nearer = {name: probe * NEARER for name, probe in probes.items()}
+        best = _better(best, scores(seen.probed(nearer).reduced()), probes)
         found = {n: s.values[n] for s in best.values() if s.p_value < ALPHA for n in probes.keys() & s.values.keys()}
         found = {name: value for name, value in found.items() if value > 0}
-        best = _better(best, scores(found), found) if found else best
-    rest = seen.reduced()
+        best = _better(best, scores(seen.probed(found).reduced()), found) if found else best
     dof = max(rest.residual.size - rest.lost - len(fitted), 1)
     return Tested(sorted(best.values(), key=lambda s: -s.reduction), float((rest.residual**2).sum()), dof)
 

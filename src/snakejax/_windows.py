@@ -241,7 +241,7 @@ class Windows(eqx.Module):
         return place, Linearised(residual, jacobian)
 
     def _total(self, found: Linearised, values: Mapping[str, float], free: Sequence[str]) -> float:
-        """Cost of the residuals and of the distance from what is typical, as `Study.plausibility` weighs them."""
+        """Cost of the residuals and of the distance from what is typical, which weighs less the nearer the noise is."""
         pull, strength = self.study.typical(values, free)
         far = float(((pull * strength) ** 2).sum())
         cost = _cost(found)
