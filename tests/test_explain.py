@@ -66,6 +66,17 @@ def test_a_weak_effect_is_confusable_with_what_is_half_like_it_and_a_strong_one_
         assert confusable(scored(model, rest))["bias"] == alike
 
 
+def test_what_explains_far_more_is_told_from_a_weaker_likeness(model):
+    """The likeness, significant and close to the true effect, is no rival of what explains the rest as well."""
+    rest = simulated(1.0)
+    unit = rest.columns / np.sqrt((rest.columns**2).sum(axis=0))
+    likeness = (unit[:, 1] + 5 * unit[:, 3])[:, None] * 20
+    rest = rest._replace(columns=np.concatenate([rest.columns[:, :3], likeness], axis=1))
+    found = {s.effect: s for s in scored(model, rest)}
+    assert found["bias"].p_value < 0.01 and found["slope"].statistic > found["bias"].statistic + 100
+    assert confusable([*found.values()]) == {"slope": [], "bias": []}
+
+
 def test_the_noise_band_is_that_of_chi_squared():
     """Misfits of pure noise lie within the band but for one in ten thousand."""
     low, high = noise_band(1000, 10)

@@ -173,12 +173,12 @@ def confusable(scored: Sequence[Scored]) -> dict[str, list[str]]:
     """For each candidate those that these runs cannot tell from it.
 
     With s_i the signature of candidate i, S_i its statistic and Q_j the span of candidate j, j would leave
-    S_i (1 - |Q_j^T s_i|^2) of what i explains, and was found to leave S_i - S_j. The two are confusable at any strength
-    where |Q_j^T s_i| > `ALIKE`, and at the strength of a significant i where both of these are below `CLEAR`.
+    S_i (1 - |Q_j^T s_i|^2) of what i explains, and the two were found to explain |S_i - S_j| more or less. They are
+    confusable at any strength where |Q_j^T s_i| > `ALIKE`, and at that of a significant i where both are below `CLEAR`.
     """
     share = np.array([[min(float(((o.span.T @ s.signature) ** 2).sum()), 1.0) for o in scored] for s in scored])
     size = np.array([s.statistic for s in scored])
-    close = np.maximum(size[:, None] * (1 - share), size[:, None] - size) < CLEAR
+    close = np.maximum(size[:, None] * (1 - share), np.abs(size[:, None] - size)) < CLEAR
     sure = np.array([s.p_value < ALPHA for s in scored])
     alike = (share > ALIKE**2) | (sure[:, None] & close)
     alike = alike | alike.T
