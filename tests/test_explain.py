@@ -67,14 +67,17 @@ def test_a_weak_effect_is_confusable_with_what_is_half_like_it_and_a_strong_one_
 
 
 def test_what_explains_far_more_is_told_from_a_weaker_likeness(model):
-    """The likeness, significant and close to the true effect, is no rival of what explains the rest as well."""
-    rest = simulated(1.0)
-    unit = rest.columns / np.sqrt((rest.columns**2).sum(axis=0))
-    likeness = (unit[:, 1] + 5 * unit[:, 3])[:, None] * 20
-    rest = rest._replace(columns=np.concatenate([rest.columns[:, :3], likeness], axis=1))
-    found = {s.effect: s for s in scored(model, rest)}
-    assert found["bias"].p_value < 0.01 and found["slope"].statistic > found["bias"].statistic + 100
-    assert confusable([*found.values()]) == {"slope": [], "bias": []}
+    """Four fifths of what the likeness explains, the other explains too: no rival where it explains the rest as well,
+    and one where it does not.
+    """
+    slope, bias = (s for s in scored(model, simulated(0.5)))
+    along, across = np.eye(slope.span.shape[0])[:2]
+    slope = slope._replace(signature=along, span=along[:, None], p_value=0.0)
+    likeness = np.sqrt(0.8) * along + np.sqrt(0.2) * across
+    bias = bias._replace(signature=likeness, span=likeness[:, None], statistic=30.0, p_value=1e-6)
+    assert confusable([slope._replace(statistic=3000.0), bias]) == {slope.effect: [], bias.effect: []}
+    rivals = {slope.effect: [bias.effect], bias.effect: [slope.effect]}
+    assert confusable([slope._replace(statistic=32.0), bias]) == rivals
 
 
 def test_the_noise_band_is_that_of_chi_squared():
