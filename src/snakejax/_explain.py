@@ -340,8 +340,8 @@ def _follow(bench, step, ranking, before, progress, show) -> list[Stage]:
 
 
 def _polished(bench: Bench, step: Step, progress) -> Step:
-    """`step`, or a better optimum of the same model where it ended near the noise but not in it."""
-    if only_noise(step.optimum) or not step.optimum.misfit < HOPELESS:
+    """`step`, or a better optimum of the same model where it ended near the noise but not in it, or on the way."""
+    if (only_noise(step.optimum) and step.optimum.converged) or not step.optimum.misfit < HOPELESS:
         return step
     again = fresh_fit(bench, step.effects, step.optimum.values, progress)
     return Step(step.effects, least(step.optimum, again))
