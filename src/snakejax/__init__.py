@@ -43,6 +43,8 @@ if TYPE_CHECKING:
     from ._gait import Logged as Logged
     from ._gait import Sines as Sines
     from ._gait import Tracked as Tracked
+    from ._lanes import simulate_many as simulate_many
+    from ._lanes import stacked as stacked
     from ._missing import Missing as Missing
     from ._model import Model as Model
     from ._prepare import prepare_jax as prepare_jax
@@ -73,6 +75,7 @@ _HOMES = {
     "_explain": "Diagnosis Explanation Stage diagnose explain",
     "_fit": "Fit FitError fit profile starting_model",
     "_gait": "Gait Logged Sines Tracked",
+    "_lanes": "simulate_many stacked",
     "_missing": "Missing",
     "_model": "Model",
     "_prepare": "prepare_jax",

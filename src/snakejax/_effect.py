@@ -20,10 +20,9 @@ written for one instant of time; batching is the package's business. To add one,
 import abc
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
-import jax.numpy as jnp
-
 from ._board import Board, Wheelset
 from ._gait import Gait, Joint
+from ._math import sine_cosine
 from ._tyre import AbstractTyre
 from ._units import Parametrised, Scalar
 
@@ -62,7 +61,7 @@ class Motion(NamedTuple):
 
     def into_body(self, east: Scalar, north: Scalar) -> tuple[Scalar, Scalar]:
         """A world-frame force (along x, along y) [N] as its components along and across the body."""
-        cosine, sine = jnp.cos(self.theta), jnp.sin(self.theta)
+        sine, cosine = sine_cosine(self.theta)
         return east * cosine + north * sine, north * cosine - east * sine
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.interpolate import CubicSpline
 
+from ._math import sine_cosine
 from ._units import Parametrised, Scalar, param
 
 
@@ -55,7 +56,7 @@ class Sines(AbstractSignal):
         for k in range(self.amplitude.shape[0]):
             a, w = self.amplitude[k], self.frequency[k]
             turn = w * t + self.phase[k]
-            sine, cosine = jnp.sin(turn), jnp.cos(turn)
+            sine, cosine = sine_cosine(turn)
             angle, rate, acceleration = angle + a * sine, rate + a * w * cosine, acceleration - a * w**2 * sine
         return Joint(angle, rate, acceleration)
 
@@ -103,11 +104,11 @@ class Tracked(AbstractSignal):
     """A joint that starts at zero and at rest and is driven to `command` by the controller of eq. (8).
 
     The error e = actual - command obeys e'' + kd e' + kp e = 0 with e(0) = -command(0), e'(0) = -command'(0), so with
-    a = kd / 2, q = kp - a^2, c = cos(sqrt(q) t), s = sin(sqrt(q) t) / sqrt(q) (cosh, sinh for q < 0):
+    a = kd / 2, q = kp - a^2:
 
-        e(t) = exp(-a t) (e0 c + (e0' + a e0) s)
+        e(t) = e0 c + (e0' + a e0) s        c = exp(-a t) cos(sqrt(q) t)      s = exp(-a t) sin(sqrt(q) t) / sqrt(q)
 
-    and nothing need be integrated.
+    (cosh, sinh of sqrt(-q) t for q < 0), and nothing need be integrated.
     """
 
     command: AbstractSignal
@@ -115,21 +116,36 @@ class Tracked(AbstractSignal):
     kd: Scalar = param("1/s", low=0.0)
 
     def at(self, t: Scalar) -> Joint:
-        start = self.command.at(jnp.zeros_like(t))
+        start = self.command.at(jnp.zeros(()))
         angle, rate, acceleration = self.command.at(t)
         a = self.kd / 2
         q = self.kp - a**2
-        oscillates, decays = q > 1e-9, q < -1e-9
-        w = jnp.sqrt(jnp.where(oscillates, q, 1.0))
-        v = jnp.sqrt(jnp.where(decays, -q, 1.0))
-        v_t = jnp.where(decays, v * t, 0.0)
-        c = jnp.where(oscillates, jnp.cos(w * t), jnp.where(decays, jnp.cosh(v_t), 1 - q * t**2 / 2))
-        s = jnp.where(oscillates, jnp.sin(w * t) / w, jnp.where(decays, jnp.sinh(v_t) / v, t - q * t**3 / 6))
+        c, s = _decaying(a, q, t)
         e0, slope = -start.angle, -start.rate - a * start.angle
-        fade = jnp.exp(-a * t)
-        e = fade * (e0 * c + slope * s)
-        e_rate = fade * (slope * c - q * e0 * s) - a * e
+        e = e0 * c + slope * s
+        e_rate = slope * c - q * e0 * s - a * e
         return Joint(angle + e, rate + e_rate, acceleration - self.kd * e_rate - self.kp * e)
+
+
+_EARLY = 1e-4
+
+
+def _decaying(a: Scalar, q: Scalar, t: Scalar) -> tuple[Scalar, Scalar]:
+    """exp(-a t) times cos(sqrt(q) t) and sin(sqrt(q) t) / sqrt(q); for q < 0 by exponentials, which do not overflow.
+
+    Where |q| t^2 is below `_EARLY`, by their series, whose next terms are below 1e-20.
+    """
+    z = q * t**2
+    early, oscillates = jnp.abs(z) < _EARLY, q > 0
+    w = jnp.sqrt(jnp.where(early, 1.0, jnp.abs(q)))
+    sine, cosine = sine_cosine(jnp.where(oscillates, w * t, 0.0))
+    v = jnp.where(oscillates | early, 0.0, w)
+    slow, fast = jnp.exp((v - a) * t), jnp.exp(-(v + a) * t)
+    even = jnp.where(oscillates, slow * cosine, (slow + fast) / 2)
+    odd = jnp.where(oscillates, slow * sine, (slow - fast) / 2) / w
+    near = slow * (1 - z / 2 * (1 - z / 12 * (1 - z / 30)))
+    nearly = slow * t * (1 - z / 6 * (1 - z / 20 * (1 - z / 42)))
+    return jnp.where(early, near, even), jnp.where(early, nearly, odd)
 
 
 class Delayed(AbstractSignal):

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from ._board import Board
 from ._effect import Wheel, Wrench
 from ._gait import Joint
-from ._math import hold
+from ._math import sine_cosine
 from ._units import Scalar
 
 State = tuple[Scalar, ...]
@@ -33,8 +33,8 @@ class Steered(NamedTuple):
     @staticmethod
     def of(joints: tuple[Joint, ...]) -> "Steered":
         """Evaluate sine and cosine once for each wheelset."""
-        sines = hold(*(jnp.sin(joint.angle) for joint in joints))
-        cosines = hold(*(jnp.cos(joint.angle) for joint in joints))
+        pairs = [sine_cosine(joint.angle) for joint in joints]
+        sines, cosines = tuple(s for s, _ in pairs), tuple(c for _, c in pairs)
         return Steered(joints, sines, cosines)
 
 
@@ -158,7 +158,7 @@ class Coupled(AbstractSkid):
         m, I = board.mass, board.total_inertia  # noqa: E741
         u_rate = (-m * W * W_rate * u + X + W * Y + D / 2 * G - drag) / (m * (1 + W**2))
         s_rate = (-board.rotor_inertia * loads.rotor - G / 2 + N) / I
-        cosine, sine = hold(jnp.cos(twist.theta), jnp.sin(twist.theta))
+        sine, cosine = sine_cosine(twist.theta)
         return (
             u * cosine - w * sine,
             u * sine + w * cosine,
@@ -213,7 +213,7 @@ class Free(AbstractSkid):
         ):
             across = -F * cosine - T * sine
             X, Y, N = X + F * sine - T * cosine, Y + across, N + board.arm(wheelset) * across
-        cosine, sine = hold(jnp.cos(twist.theta), jnp.sin(twist.theta))
+        sine, cosine = sine_cosine(twist.theta)
         return (
             u * cosine - w * sine,
             u * sine + w * cosine,
@@ -262,7 +262,7 @@ class Ideal(AbstractSkid):
         m, I = board.mass, board.total_inertia  # noqa: E741
         push = X + W * Y + D * N - D * board.rotor_inertia * loads.rotor - drag
         u_rate = (push - (m * W * W_rate + I * D * D_rate) * u) / (m * (1 + W**2) + I * D**2)
-        cosine, sine = hold(jnp.cos(twist.theta), jnp.sin(twist.theta))
+        sine, cosine = sine_cosine(twist.theta)
         return (u * cosine - w * sine, u * sine + w * cosine, D * u, u_rate)
 
 

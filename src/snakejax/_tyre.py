@@ -5,6 +5,7 @@ import abc
 import equinox as eqx
 import jax.numpy as jnp
 
+from ._math import arctan, sine_cosine
 from ._units import Parametrised, Scalar, param
 
 
@@ -41,8 +42,8 @@ class Pacejka(AbstractTyre):
     def force(self, slip: Scalar, lateral: Scalar) -> Scalar:
         del lateral
         delta = slip + self.dSh
-        eta = (1 - self.E) * delta + self.E / self.B * jnp.arctan(self.B * delta)
-        return self.D * jnp.sin(self.C * jnp.arctan(self.B * eta)) + self.dSv
+        eta = (1 - self.E) * delta + self.E / self.B * arctan(self.B * delta)
+        return self.D * sine_cosine(self.C * arctan(self.B * eta))[0] + self.dSv
 
     def scaled(self, grip: Scalar) -> "Pacejka":
         return Pacejka(self.B, self.C, self.D * grip, self.E, self.dSh, self.dSv)

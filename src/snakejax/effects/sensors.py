@@ -2,9 +2,8 @@
 
 from typing import ClassVar
 
-import jax.numpy as jnp
-
 from .._effect import Clock, Sensor
+from .._math import sine_cosine
 from .._units import Scalar, param
 
 
@@ -16,7 +15,7 @@ class MarkerOffset(Sensor):
     my: Scalar = param("m", default=0.0)
 
     def observe(self, x: Scalar, y: Scalar, heading: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-        cosine, sine = jnp.cos(heading), jnp.sin(heading)
+        sine, cosine = sine_cosine(heading)
         return x + cosine * self.mx - sine * self.my, y + sine * self.mx + cosine * self.my, heading
 
 

@@ -1,0 +1,211 @@
+"""Many boards at once: Tsit5 for lanes that each take steps of their own, in one loop that a CPU computes side by side.
+
+diffrax integrates single runs and fits; for thousands of small systems most of its time goes into looking after each
+one. Here a block of lanes is a handful of vectors that stay in the first cache, and a step of all of them is one
+straight piece of arithmetic. The method and its coefficients are those of `diffrax.Tsit5`.
+"""
+
+import functools
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, PartitionSpec
+from jaxtyping import Array, Float
+
+from ._gait import Gait
+from ._math import hold
+from ._model import Model
+from ._simulate import Accuracy
+from ._units import require_x64
+
+BLOCK = 64
+"""Lanes that step together: enough to fill the vector units, few enough to stay in the first cache."""
+PIECE = 256
+"""Lanes of one call of a compiled program, so that one program serves any number of lanes."""
+ACCURACY = Accuracy(rtol=1e-7, atol=1e-9, max_steps=200_000)
+FIRST_STEP = 1e-3
+_SAFETY, _LEAST, _MOST = 0.8, 0.2, 5.0
+
+_TABLEAU = diffrax.Tsit5.tableau
+_STAGES = [[float(a) for a in row] for row in _TABLEAU.a_lower]
+_NODES = [float(c) for c in _TABLEAU.c]
+_ERROR = [float(e) for e in _TABLEAU.b_error]
+
+Lanes = tuple[Model, Gait | None, Float[Array, "V 3"]]
+"""Stacked models and gaits, and where each lane starts."""
+Leaves = list[Float[Array, " B"]]
+Rates = Callable[[Float[Array, " B"], Leaves], Leaves]
+
+
+def _block(rates: Rates, y: Leaves, times: Float[Array, "n B"], t: Float[Array, " B"], accuracy: Accuracy):
+    """The states (n, B) at `times` of one block of lanes that start at `t`, and whether each lane got there.
+
+    A lane whose step meets the next time waits there for the others.
+    """
+
+    def advance(carry, target):
+        def step(carry):
+            t, y, first, h_next, taken = carry
+            left = target - t
+            # The last two steps before `target` are of one size, so that none is a mere rest.
+            h = jnp.where(h_next >= left, left, jnp.where(2 * h_next > left, 0.5 * left, h_next))
+            last = h_next >= left
+            (h,) = hold(h)
+            slopes = [first]
+            for nodes, row in zip(_NODES, _STAGES, strict=True):
+                there = hold(*(_moved(p, h, row, [s[i] for s in slopes]) for i, p in enumerate(y)))
+                slopes.append(list(hold(*rates(t + nodes * h, list(there)))))
+            # The method's last stage is its solution.
+            square = jnp.zeros_like(t)
+            for i, (a, b) in enumerate(zip(y, there, strict=True)):
+                scale = accuracy.atol + accuracy.rtol * jnp.maximum(jnp.abs(a), jnp.abs(b))
+                e = h * _combined(_ERROR, [s[i] for s in slopes])
+                square = square + (e / scale) ** 2
+            square = square / len(y)
+            good = square <= 1.0
+            # The eighth root: a little more careful than the fifth, and cheap.
+            root = jnp.sqrt(jnp.sqrt(jnp.sqrt(jnp.sqrt(jnp.maximum(square, 1e-30)))))
+            factor = jnp.where(jnp.isfinite(square), jnp.clip(_SAFETY / root, _LEAST, _MOST), _LEAST)
+            grown = h * factor
+            h_next = jnp.where(good & (h < h_next), jnp.maximum(grown, h_next), grown)
+            here = left > 0
+            go = good & here
+            t = jnp.where(go, jnp.where(last, target, t + h), t)
+            y = [jnp.where(go, b, a) for a, b in zip(y, there, strict=True)]
+            first = [jnp.where(go, b, a) for a, b in zip(first, slopes[-1], strict=True)]
+            return t, y, first, jnp.where(here, h_next, carry[3]), jnp.where(here, taken + 1.0, taken)
+
+        def busy(carry):
+            return jnp.any((carry[0] < target) & (carry[4] < accuracy.max_steps))
+
+        carry = jax.lax.while_loop(busy, step, carry)
+        return carry, carry[1]
+
+    begin = (t, y, rates(t, y), jnp.full_like(t, FIRST_STEP), jnp.zeros_like(t))
+    ended, states = jax.lax.scan(advance, begin, times)
+    return states, ended[0] >= times[-1]
+
+
+def _combined(weights: list[float], slopes: list[Array]) -> Array:
+    return sum((w * s for w, s in zip(weights, slopes, strict=True) if w != 0.0), jnp.zeros_like(slopes[0]))
+
+
+def _moved(p: Array, h: Array, row: list[float], slopes: list[Array]) -> Array:
+    return p + h * _combined(row, slopes)
+
+
+def _poses(models: Model, gaits: Gait, times: Array, start: Array, accuracy: Accuracy) -> Float[Array, "B n 3"]:
+    """Poses of one block, infinite where a lane did not get to the end."""
+    delay = jax.vmap(lambda model: model.delay() + jnp.zeros(()))(models)
+    until = jnp.maximum(times[:, None] - delay[None, :], 0.0)
+    states = jax.vmap(lambda model, at: model.start((at[0], at[1], at[2])))(models, start)
+    leaves, structure = jax.tree.flatten(states)
+
+    def one(t, y, model, gait):
+        return jax.tree.leaves(model.rates(t, jax.tree.unflatten(structure, y), gait))
+
+    def rates(t, y):
+        return jax.vmap(one)(t, y, models, gaits)
+
+    states, finished = _block(rates, leaves, until, jnp.zeros_like(delay), accuracy)
+    bodies = jax.tree.unflatten(structure, states)[0]
+    pose = jax.vmap(lambda model, body: jnp.stack(model.observe(body), axis=-1), in_axes=(0, 1))(models, bodies)
+    return jnp.where(finished[:, None, None] & jnp.isfinite(pose), pose, jnp.inf)
+
+
+def _piece(lanes: Lanes, count: Array, gait: Gait | None, times: Array, accuracy: Accuracy) -> Float[Array, "V n 3"]:
+    """Poses of the first `count` of the lanes of a piece, block by block."""
+
+    def block(number, poses):
+        first = number * BLOCK
+        models, gaits, start = jax.tree.map(lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, first, BLOCK), lanes)
+        if gait is not None:
+            gaits = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (BLOCK, *jnp.shape(leaf))), gait)
+        found = _poses(models, gaits, times, start, accuracy)
+        return jax.lax.dynamic_update_slice_in_dim(poses, found, first, 0)
+
+    size = lanes[2].shape[0]
+    return jax.lax.fori_loop(0, -(-count // BLOCK), block, jnp.zeros((size, times.size, 3)))
+
+
+_WIDE = {"xla_cpu_prefer_vector_width": 512}
+"""Without it XLA keeps to 256 bits also where the CPU has more."""
+
+
+@functools.cache
+def _compiled(devices: int):
+    """`_piece`, for one device, or one piece on each of several devices."""
+    if devices == 1:
+        return jax.jit(_piece, static_argnames="accuracy", compiler_options=_WIDE)
+    mesh = Mesh(np.array(jax.local_devices()), ("lanes",))
+    each, all_ = PartitionSpec("lanes"), PartitionSpec()
+
+    def sharded(lanes, count, gait, times, accuracy):
+        def one(lanes, count, gait, times):
+            return _piece(lanes, count[0], gait, times, accuracy)
+
+        return jax.shard_map(one, mesh=mesh, in_specs=(each, each, all_, all_), out_specs=each, check_vma=False)(
+            lanes, count, gait, times
+        )
+
+    return jax.jit(sharded, static_argnames="accuracy", compiler_options=_WIDE)
+
+
+def simulate_many(
+    models: Model,
+    gait: Gait,
+    times: Float[Array, " n"],
+    start: Float[Array, "V 3"] | None = None,
+    *,
+    own_gaits: bool = False,
+    accuracy: Accuracy = ACCURACY,
+    workers: int | None = None,
+) -> Float[np.ndarray, "V n 3"]:
+    """Poses (x [m], y [m], heading [rad]) of many boards that start at rest at time 0.
+
+    The boards are shared out among `workers` threads (default: one for each core this process may use), or by
+    `jax.sharding` among the devices where JAX has several. The numbers do not depend on how many threads there are, and
+    on devices by rounding alone. The poses of a board that needs more than `accuracy.max_steps` steps are infinite.
+
+    **Arguments:** `models`: one whose arrays have a leading axis V (`stacked`). `gait`: one for all, or with
+    `own_gaits` stacked like `models`. `times` [s] (n,), increasing. `start` (V, 3), default the origin.
+    **Raises:** `RuntimeError` without double precision.
+    """
+    require_x64()
+    count = jax.tree.leaves(models)[0].shape[0]
+    places = np.zeros((count, 3)) if start is None else np.asarray(start, np.float64)
+    lanes = jax.tree.map(np.asarray, (models, gait if own_gaits else None, places))
+    shared, times = None if own_gaits else gait, jnp.asarray(times, jnp.float64)
+    devices = jax.local_device_count()
+    share = PIECE * devices
+    firsts = list(range(0, count, share))
+
+    def piece(first: int) -> np.ndarray:
+        # Each device has a piece of its own; where lanes are missing the last one stands in and is left out.
+        wanted = min(share, count - first)
+        each = -(-wanted // (devices * BLOCK)) * BLOCK if devices > 1 else wanted
+        rows = [first + d * each + np.arange(PIECE) for d in range(devices)]
+        some = jax.tree.map(lambda leaf: leaf[np.minimum(np.concatenate(rows), count - 1)], lanes)
+        sizes = np.clip(first + wanted - (first + each * np.arange(devices)), 0, each)
+        found = np.asarray(
+            _compiled(devices)(some, jnp.asarray(sizes if devices > 1 else sizes[0]), shared, times, accuracy)
+        )
+        return np.concatenate([found[PIECE * d : PIECE * d + size] for d, size in enumerate(sizes)])
+
+    with ThreadPoolExecutor(1 if devices > 1 else workers or cores()) as pool:
+        return np.concatenate(list(pool.map(piece, firsts)))
+
+
+def cores() -> int:
+    """How many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def stacked(models: Sequence[Model]) -> Model:
+    """Models of one structure as one whose arrays have a leading axis."""
+    return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]), *models)
