@@ -453,7 +453,32 @@ def test_sweep_writes_the_curve_and_the_figure(say, tmp_path):
     assert found["D"] == pytest.approx(np.linspace(1, 4, 7).tolist())
     assert len(found["k_s"]) == len(found["mismatch"]) == 7 and len(found["polynomial"]) == 5
     assert found["fitted_range"] == [1.0, 4.0] and 0.9 < found["r_squared"] <= 1
-    assert (tmp_path / "sweep.png").exists()
+    assert (tmp_path / "sweep.png").exists() and (tmp_path / "sweep.nc").exists()
+    assert len(list((tmp_path / "pieces").glob("*/*.npz"))) == 1
+
+
+@pytest.mark.slow
+def test_sweep_over_two_parameters_and_over_a_table(say, tmp_path):
+    both = ("--vary", "D=1:4:2", "--vary", "B=0.08:0.1:3")
+    said = say("sweep", "paper-rotate", *both, "--json", "-", "--quiet", "--out", tmp_path)
+    assert said.status == 0 and said.err == ""
+    found = json.loads(said.out)
+    assert found["axes"] == ["D", "B"] and np.shape(found["k_s"]) == np.shape(found["end"]["x_m"]) == (2, 3)
+    assert found["polynomial"] is None and (tmp_path / "sweep.png").exists()
+    (tmp_path / "boards.csv").write_text("D,board.mass\n1,7\n4,7\n4,9\n")
+    said = say("sweep", "paper-rotate", "--table", tmp_path / "boards.csv", "--json", "-", "--quiet")
+    assert said.status == 0 and said.err == ""
+    rows = json.loads(said.out)
+    assert rows["axes"] == ["row"] and rows["board.mass"] == [7, 7, 9] and len(rows["k_s"]) == 3
+    said = say("sweep", "paper-gait1", "--vary", "load=2:3:2", "--vary", "camber=0:0.5:2", "--json", "-", "--quiet")
+    assert np.shape(json.loads(said.out)["mismatch"]) == (2, 2)
+
+
+def test_the_sweep_of_a_board_that_none_follows_says_where_it_ends(say):
+    said = say("sweep", "paper-rotate", "--model", "ideal", "--vary", "mass=6:8:2", "--json", "-", "--quiet")
+    assert said.status == 0 and said.err == ""
+    found = json.loads(said.out)
+    assert "k_s" not in found and np.isfinite(found["end"]["heading_rad"]).all()
 
 
 @pytest.mark.parametrize(
@@ -463,7 +488,13 @@ def test_sweep_writes_the_curve_and_the_figure(say, tmp_path):
         (("sweep", "paper-rotate", "--vary", "load=1:4:7"), "load"),
         (("sweep", LEVEL, "--vary", "load=1:4:7"), "paper-gait1"),
         (("sweep", LEVEL, "--vary", "D=1:4:7", "--run", "nothing", "--set", "B=6,C=1.4,D=6,E=0"), "nothing"),
-        (("sweep", "paper-rotate", "--vary", "D=1:4:7", "--model", "rayleigh", "--set", "k_s=9"), "Rayleigh"),
+        (("sweep", "paper-rotate", "--vary", "D=1:4:7", "--model", "rayleigh", "--set", "k_s=9"), "`D`"),
+        (("sweep", "paper-gait1", "--vary", "D=1:4:7", "--vary", "load=1:2:3"), "`load`"),
+        (("sweep", "paper-rotate", "--vary", "D=1:4:7", "--vary", "D=1:2:3"), "twice"),
+        (("sweep", "paper-rotate", "--vary", "D=1:4:7", "--vary", "tyre.D=1:2:3"), "twice"),
+        (("sweep", "paper-rotate", "--vary", "D=-1:4:7"), "at least 0"),
+        (("sweep", "paper-rotate"), "--vary"),
+        (("sweep", "paper-rotate", "--table", "nowhere.csv"), "nowhere.csv"),
     ],
 )
 def test_a_sweep_that_cannot_be_made_is_one_line(say, arguments, what):

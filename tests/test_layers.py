@@ -17,13 +17,17 @@ ORDER = [
     "_prepare", "_errors", "_units", "_math", "_tyre", "_board", "_gait", "_recording", "_batch",
     "_effect", "_skid", "_model", "_simulate", "_lanes", "_least_squares", "_study",
     "effects", "readers", "_toml", "_case", "_presets", "_check", "_template",
-    "_sweep", "_windows", "_fit", "_replay", "_compare", "_score", "_sight", "_diagnose",
-    "_free_force", "_dependence", "_missing", "_starter", "_explain", "_tune",
+    "_pieces", "_cluster", "_sweep", "_rayleigh", "_windows", "_fit", "_replay", "_compare", "_score", "_sight",
+    "_diagnose", "_free_force", "_dependence", "_missing", "_starter", "_explain", "_tune",
     "_json", "_text", "_story", "report", "plot", "_cli", "__main__", "__init__",
 ]
 # fmt: on
 CORE = ORDER[: ORDER.index("effects")]
-ONLY_IN = {"diffrax": {"_simulate", "_lanes"}, "optimistix": {"_least_squares", "_sweep", "_tune"}}
+ONLY_IN = {
+    "diffrax": {"_simulate", "_lanes"},
+    "optimistix": {"_least_squares", "_rayleigh", "_tune"},
+    "distributed": {"_cluster"},
+}
 
 FILES = sorted(SOURCE.rglob("*.py"))
 each_file = pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(SOURCE)))

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from ._check import check as check
     from ._check import estimate_noise as estimate_noise
     from ._check import noise_of as noise_of
+    from ._cluster import cluster as cluster
     from ._effect import Clock as Clock
     from ._effect import Command as Command
     from ._effect import Effect as Effect
@@ -50,6 +51,9 @@ if TYPE_CHECKING:
     from ._prepare import prepare_jax as prepare_jax
     from ._presets import Preset as Preset
     from ._presets import preset as preset
+    from ._rayleigh import Polynomial as Polynomial
+    from ._rayleigh import nearest_rayleigh as nearest_rayleigh
+    from ._rayleigh import polynomial as polynomial
     from ._recording import Case as Case
     from ._recording import Noise as Noise
     from ._recording import Run as Run
@@ -58,8 +62,10 @@ if TYPE_CHECKING:
     from ._simulate import motions as motions
     from ._simulate import simulate as simulate
     from ._starter import starter as starter
-    from ._sweep import Sweep as Sweep
-    from ._sweep import nearest_rayleigh as nearest_rayleigh
+    from ._sweep import Axes as Axes
+    from ._sweep import grid as grid
+    from ._sweep import sweep as sweep
+    from ._sweep import table as table
     from ._tyre import Bakker as Bakker
     from ._tyre import Pacejka as Pacejka
     from ._tyre import Rayleigh as Rayleigh
@@ -69,6 +75,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "_board": "TABLE_II Board Wheelset",
     "_case": "load_case",
+    "_cluster": "cluster",
     "_check": "check estimate_noise noise_of",
     "_effect": "Clock Command Effect Floor Force Grip Layout Linkage Memory Motion Rolling Sensor Wheel",
     "_errors": "InputError",
@@ -83,7 +90,8 @@ _HOMES = {
     "_recording": "Case Noise Run",
     "_simulate": "Accuracy Trajectory motions simulate",
     "_starter": "starter",
-    "_sweep": "Sweep nearest_rayleigh",
+    "_rayleigh": "Polynomial nearest_rayleigh polynomial",
+    "_sweep": "Axes grid sweep table",
     "_tyre": "Bakker Pacejka Rayleigh",
     "_units": "Scalar param",
 }

@@ -93,5 +93,10 @@ def _loaded(load: float, camber: float) -> Model:
         )
     if not abs(camber) < _QUARTER:
         raise InputError(f"A camber of {camber:g} rad is none", "option --camber", "give it in rad, within +- pi/2")
-    board = Board(mass=2 * load / GRAVITY, rotor_inertia=4.0, wheelset_inertia=1.0, half_length=4.0)
+    board = Board(mass=mass_under(load), rotor_inertia=4.0, wheelset_inertia=1.0, half_length=4.0)
     return Model(board, Bakker(load, camber, offsets=False), "coupled")
+
+
+def mass_under(load):
+    """The mass [kg] of a board that presses each of its two wheelsets down with `load` [N]."""
+    return 2 * load / GRAVITY

@@ -1,119 +1,155 @@
-"""Sweeps: many boards under one gait, and the Rayleigh board that comes nearest to each."""
+"""Sweeps: what many boards do under one gait, as arrays with named axes."""
 
-from collections.abc import Sequence
-from typing import NamedTuple
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jaxtyping import Array, Float
 
-from ._effect import Floor, Grip, Memory
 from ._gait import Gait
+from ._lanes import ACCURACY, simulate_many
 from ._model import Model
-from ._simulate import Accuracy, simulate
-from ._tyre import Rayleigh
+from ._pieces import Columns, Executor, fingerprint, in_pieces, local
+from ._tyre import Bakker
+from ._units import parameters, with_parameters
 
-ACCURACY = Accuracy(rtol=1e-7, atol=1e-9, derivative="forward")
-GRID = np.geomspace(1e-2, 1e4, 49)
-"""The Rayleigh coefficients k_s [N s/m] from which the search starts; beyond its ends a board slides, or is ideal."""
-FOLLOWS = 0.1
-"""A Rayleigh board follows another where the rms distance of their paths is below this share of the path."""
-ORDER = 4
+if TYPE_CHECKING:
+    import xarray
+
+Progress = Callable[[int, int], None]
 
 
-class Sweep(NamedTuple):
-    """Boards `values` (V,) of one parameter, and the k_s (V,) [N s/m] of the nearest Rayleigh board, NaN where none is.
+def silent(done: int, total: int) -> None:
+    """Nobody wants to know."""
 
-    `mismatch` (V,): rms distance of the two paths over the path length of the first. `polynomial`: coefficients of
-    k_s as a polynomial of order 4 in the parameter, highest first, over `fitted_range`, the longest stretch of values
-    that have a k_s; with `r_squared`. All three are None where this stretch has fewer than `ORDER` + 2 values.
+
+class Axes(NamedTuple):
+    """The boards of a sweep, V in all: `columns`, the value (V,) of each parameter that is moved; `shape`, how they
+    are laid out along the axes `dims`; `coordinates`, the values along them: name -> (axis, values), in the order of
+    the columns they stand for.
     """
 
-    values: np.ndarray
-    k_s: np.ndarray
-    mismatch: np.ndarray
-    polynomial: tuple[float, ...] | None
-    r_squared: float | None
-    fitted_range: tuple[float, float] | None
+    columns: dict[str, np.ndarray]
+    dims: tuple[str, ...]
+    shape: tuple[int, ...]
+    coordinates: dict[str, tuple[str, np.ndarray]]
+
+    def moving(self, name: str, values: Sequence[float] | np.ndarray) -> "Axes":
+        """These boards, a further parameter of which follows along: `values` (V,)."""
+        return self._replace(columns=self.columns | {name: np.asarray(values, np.float64)})
+
+    def laid_out(self, found: np.ndarray) -> np.ndarray:
+        """What was found of each board (V, ...), along the axes."""
+        return found.reshape(*self.shape, *found.shape[1:])
 
 
-def stacked(models: Sequence[Model]) -> Model:
-    """Models of one structure as one whose arrays have a leading axis."""
-    return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]), *models)
+def grid(values: Mapping[str, Sequence[float] | np.ndarray]) -> Axes:
+    """Every combination of the `values` of some parameters, one axis each, in the order given."""
+    lines = {name: np.asarray(line, np.float64).reshape(-1) for name, line in values.items()}
+    meshes = np.meshgrid(*lines.values(), indexing="ij")
+    columns = {name: mesh.reshape(-1) for name, mesh in zip(lines, meshes, strict=True)}
+    shape = tuple(line.size for line in lines.values())
+    return Axes(columns, tuple(lines), shape, {name: (name, line) for name, line in lines.items()})
 
 
-@eqx.filter_jit
-def simulated(models: Model, gait: Gait, times: Float[Array, " n"]) -> Float[Array, "V n 3"]:
-    """Poses of stacked `models` that start at rest at the origin; infinite where the solver gives up."""
-    return jax.lax.map(lambda model: simulate(model, gait, times, accuracy=ACCURACY, throw=False).pose, models)
+def table(columns: Mapping[str, Sequence[float] | np.ndarray]) -> Axes:
+    """A board for each row of a table with one column for each parameter; the axis is called `row`.
 
-
-def rayleigh(model: Model, k_s: float) -> Model:
-    """`model` with a Rayleigh tyre, less the effects that need another."""
-    alien = [n for n, e in model.effects.items() if isinstance(e, Floor | Grip | Memory)]
-    return Model(model.board, Rayleigh(k_s), model.skid, model.without(*alien).effects)
-
-
-def nearest_rayleigh(models: Sequence[Model], values: Sequence[float], gait: Gait, times: Float[Array, " n"]) -> Sweep:
-    """For each of `models` the Rayleigh board nearest to it: least rms distance of (x, y) over time.
-
-    The search takes the best of a grid of k_s and refines it by golden sections of ln k_s (optimistix): where the two
-    paths stay apart, least squares would converge slowly. No k_s is given where the mismatch is above `FOLLOWS`, or
-    the best is at an end of the grid.
-
-    Source: Salman et al., CDC 2016, Figs. 5 to 8.
+    **Raises:** `ValueError` for columns of unlike length.
     """
-    paths = simulated(stacked(models), gait, times)[..., :2]
-    length = jnp.sum(jnp.linalg.norm(jnp.diff(paths, axis=1), axis=-1), axis=1)
-    boards = [rayleigh(model, 1.0) for model in models]
-    # Where only the tyre is varied, one row of Rayleigh boards serves all.
-    rows = models[:1] if all(bool(eqx.tree_equal(boards[0], board)) for board in boards) else models
-    trial = jnp.stack([simulated(stacked([rayleigh(m, k) for k in GRID]), gait, times)[..., :2] for m in rows])
-    distance = jnp.sqrt(jnp.mean(jnp.sum((trial - paths[:, None]) ** 2, axis=-1), axis=-1))
-    first = np.asarray(jnp.argmin(jnp.where(jnp.isfinite(distance), distance, jnp.inf), axis=1))
-    k_s, rms = _refined(stacked(boards), paths, jnp.log(jnp.asarray(GRID[first])), gait, times)
-    mismatch = np.asarray(rms / length)
-    inside = (first > 0) & (first < len(GRID) - 1)
-    found = np.where(inside & (mismatch < FOLLOWS), np.asarray(k_s), np.nan)
-    return _summed_up(np.asarray(values, float), found, mismatch)
+    lines = {name: np.asarray(line, np.float64).reshape(-1) for name, line in columns.items()}
+    if len({line.size for line in lines.values()}) > 1:
+        lengths = ", ".join(f"{name} {line.size}" for name, line in lines.items())
+        raise ValueError(f"The columns of a table must be of one length, but they have: {lengths}.")
+    count = len(next(iter(lines.values()), ()))
+    return Axes(lines, ("row",), (count,), {name: ("row", line) for name, line in lines.items()})
 
 
-@eqx.filter_jit
-def _refined(models: Model, paths: Array, start: Array, gait: Gait, times: Array) -> tuple[Array, Array]:
-    """(k_s, rms distance [m]) of each lane, the least between the neighbours on the grid of ln k_s = `start`."""
-    solver = optx.GoldenSearch(rtol=0.0, atol=1e-5)
-    step = float(np.log(GRID[1] / GRID[0]))
-
-    def one(lane):
-        model, path, begin = lane
-
-        def distance(above, _):
-            there = eqx.tree_at(lambda m: m.tyre.k_s, model, jnp.exp(begin - step + above))
-            pose = simulate(there, gait, times, accuracy=ACCURACY, throw=False).pose[:, :2]
-            return jnp.sqrt(jnp.mean(jnp.sum((pose - path) ** 2, axis=-1)))
-
-        # optimistix places its first point rightly only where the interval begins at zero.
-        ends = {"lower": 0.0, "upper": 2 * step}
-        found = optx.minimise(distance, solver, jnp.asarray(step), options=ends, max_steps=60, throw=False).value
-        return jnp.exp(begin - step + found), distance(found, None)
-
-    return jax.lax.map(one, (models, paths, start))
+def require_possible(model: Model, axes: Axes) -> None:
+    """**Raises:** `ValueError` where there are no boards, or a value is outside the domain of its parameter."""
+    if not axes.columns or not np.prod(axes.shape):
+        raise ValueError("There is nothing to vary: name at least one parameter and one value.")
+    for name, column in axes.columns.items():
+        for end in (column.min(), column.max(), *column[~np.isfinite(column)][:1]):
+            with_parameters(model, {name: float(end)})
 
 
-def _summed_up(values: np.ndarray, k_s: np.ndarray, mismatch: np.ndarray) -> Sweep:
-    known = np.isfinite(k_s)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
-    stretches = list(zip(edges[::2], edges[1::2], strict=True))
-    first, last = max(stretches, key=lambda s: s[1] - s[0], default=(0, 0))
-    if last - first < ORDER + 2:
-        return Sweep(values, k_s, mismatch, None, None, None)
-    x, y = values[first:last], k_s[first:last]
-    polynomial = np.polynomial.Polynomial.fit(x, y, ORDER)
-    spread = float(((y - y.mean()) ** 2).sum())
-    r_squared = 1.0 - float(((y - polynomial(x)) ** 2).sum()) / spread if spread > 0 else None
-    coefficients = tuple(float(c) for c in polynomial.convert().coef[::-1])
-    coefficients = (0.0,) * (ORDER + 1 - len(coefficients)) + coefficients
-    return Sweep(values, k_s, mismatch, coefficients, r_squared, (float(x[0]), float(x[-1])))
+def boards(model: Model, columns: Columns) -> Model:
+    """`model` with the parameters in `columns` (V,), as one model whose arrays have a leading axis V."""
+    count = len(next(iter(columns.values())))
+    many = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (count, *np.shape(leaf))), model)
+    many = with_parameters(many, {name: jnp.asarray(column) for name, column in columns.items()})
+    if isinstance(many.tyre, Bakker):
+        # Its formulas once for each board, and not at every step.
+        tyre = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count,)), many.tyre.coefficients())
+        many = eqx.tree_at(lambda m: m.tyre, many, tyre)
+    return many
+
+
+def _poses(model: Model, gait: Gait, times: np.ndarray, start: tuple[float, ...], columns: Columns) -> Columns:
+    count = len(next(iter(columns.values())))
+    starts = np.broadcast_to(np.asarray(start, np.float64), (count, 3))
+    return {"pose": simulate_many(boards(model, columns), gait, times, starts, accuracy=ACCURACY, workers=1)}
+
+
+def sweep(
+    model: Model,
+    gait: Gait,
+    times: Float[Array, " n"],
+    over: Axes | Mapping[str, Sequence[float]],
+    *,
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    folder: Path | str | None = None,
+    executor: Executor = local,
+    progress: Progress = silent,
+) -> "xarray.Dataset":
+    """What `model` does under `gait`, with any of its parameters varied.
+
+    **Arguments:** `times` [s] (n,), increasing; the boards start at rest at time 0 at `start`. `over`: values of
+    parameters by dotted name (`tyre.D`, `effects.ground_slope.sx`), every combination of them; or `table(...)`.
+    `folder`: where results are kept piece by piece: killed half-way, the same call goes on from there, and what it
+    finds is the same to the last bit. `executor`: who computes, the cores of this machine or a `cluster(...)`.
+    `progress` is told how many boards are done, of how many.
+
+    **Returns:** `x`, `y` [m] and `heading` [rad] along the axes and `time`; infinite for a board whose simulation
+    needs too many steps.
+
+    **Raises:** `ValueError` for a parameter the model does not have, or a value outside its domain.
+    """
+    import xarray
+
+    axes = over if isinstance(over, Axes) else grid(over)
+    require_possible(model, axes)
+    frames = np.asarray(times, np.float64)
+    work = functools.partial(_poses, *portable((model, gait, frames, start)))
+    pose = axes.laid_out(run(work, axes, folder, executor, progress)["pose"])
+    channels = (("x", "m"), ("y", "m"), ("heading", "rad"))
+    data = {name: ((*axes.dims, "time"), pose[..., k], {"units": unit}) for k, (name, unit) in enumerate(channels)}
+    return xarray.Dataset(data, {**coordinates(model, axes), "time": ("time", frames, {"units": "s"})})
+
+
+def coordinates(model: Model, axes: Axes) -> dict[str, Any]:
+    """The coordinates of a dataset over `axes`, with the units of the parameters they stand for."""
+    known = parameters(model)
+    named = zip(axes.coordinates.items(), axes.columns, strict=False)
+    return {name: (dim, line, {"units": known[column].domain.unit}) for (name, (dim, line)), column in named}
+
+
+def portable(tree: Any) -> Any:
+    """`tree` with NumPy arrays, which can be sent to a process where JAX has not yet started."""
+    return jax.tree.map(np.asarray, tree)
+
+
+def run(
+    work: functools.partial, axes: Axes, folder: Path | str | None, executor: Executor, progress: Progress
+) -> dict[str, np.ndarray]:
+    """`work` on every board of `axes`; under `folder` each sweep has a folder of its own."""
+    place = None
+    if folder is not None:
+        place = Path(folder) / fingerprint(work.func.__qualname__, work.args, axes.columns)[:16]
+    return in_pieces(work, axes.columns, folder=place, executor=executor, progress=progress)

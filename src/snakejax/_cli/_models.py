@@ -161,14 +161,15 @@ def effect_class(spec: EffectSpec) -> type[Effect]:
 def valued(model: Model, values: Mapping[str, float], where: str) -> Model:
     """`model` with `values`; what is wrong with them is said of `where`."""
     try:
-        return with_parameters(model, {_only(model, name, where): value for name, value in values.items()})
+        return with_parameters(model, {dotted(model, name, where): value for name, value in values.items()})
     except InputError:
         raise
     except ValueError as error:
         raise InputError(str(error).rstrip("."), where, "give a value inside its domain") from None
 
 
-def _only(model: Model, name: str, where: str) -> str:
+def dotted(model: Model, name: str, where: str) -> str:
+    """The full name of the one parameter that `name` means. **Raises:** `InputError`."""
     if name == "k_s" and "tyre.k_s" not in parameters(model):
         raise InputError("Only the Rayleigh tyre has a `k_s`", where, "add --model rayleigh")
     try:

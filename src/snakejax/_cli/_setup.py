@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from .._errors import InputError
 from ._options import targets
@@ -18,7 +18,11 @@ if TYPE_CHECKING:
     from .._presets import Preset
     from .._recording import Case
 
-Say = Callable[[str], None]
+
+class Say(Protocol):
+    """Tells what is being done, and how far it has come where that is known: `done` of `total`."""
+
+    def __call__(self, message: str, done: int | None = None, total: int | None = None) -> None: ...
 
 
 def cache_folder() -> Path:
@@ -94,15 +98,24 @@ class Outcome(NamedTuple):
 
 @contextlib.contextmanager
 def progress(quiet: bool) -> Iterator[Say]:
-    """Say what goes on: one line that moves on a terminal, nothing elsewhere."""
+    """Say what goes on: one line that moves on a terminal, with a bar and the time left where they are known."""
     from rich.console import Console
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
 
     console = Console(stderr=True)
     if quiet or not console.is_terminal:
-        yield lambda _: None
+        yield lambda message, done=None, total=None: None
         return
-    with console.status("starting") as status:
-        yield lambda message: status.update(message)
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(bar_width=20), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("starting", total=None)
+
+        def say(message: str, done: int | None = None, total: int | None = None) -> None:
+            if total is None and bar.tasks[0].total is not None:
+                bar.reset(task, total=None)
+            bar.update(task, description=message, completed=done or 0, total=total)
+
+        yield say
 
 
 def show(text: "RenderableType") -> None:
@@ -168,7 +181,11 @@ def each_case(
         for count, (name, case) in enumerate(cases.items(), 1):
             label = f"{name} ({count}/{len(cases)})" if len(cases) > 1 else name
             try:
-                found = work(case, lambda message, label=label: say(f"{label}: {message}"))
+
+                def told(message: str, done: int | None = None, total: int | None = None, label: str = label) -> None:
+                    say(f"{label}: {message}", done, total)
+
+                found = work(case, told)
                 _deliver(options, name, found, wanted, apart=len(options.cases) > 1)
             except FitError as error:
                 status = max(status, complain(f"{str(error).rstrip('.')} ({name})", FAILED))
