@@ -5,10 +5,11 @@ one. Here a block of lanes is a handful of vectors that stay in the first cache,
 straight piece of arithmetic. The method and its coefficients are those of `diffrax.Tsit5`.
 """
 
-import functools
 import os
+import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import diffrax
 import jax
@@ -109,6 +110,7 @@ def _poses(models: Model, gaits: Gait, times: Array, start: Array, accuracy: Acc
     def one(t, y, model, gait):
         return jax.tree.leaves(model.rates(t, jax.tree.unflatten(structure, y), gait))
 
+    @jax.jit  # so that it is traced once, and not for every stage
     def rates(t, y):
         return jax.vmap(one)(t, y, models, gaits)
 
@@ -133,27 +135,38 @@ def _piece(lanes: Lanes, count: Array, gait: Gait | None, times: Array, accuracy
     return jax.lax.fori_loop(0, -(-count // BLOCK), block, jnp.zeros((size, times.size, 3)))
 
 
-_WIDE = {"xla_cpu_prefer_vector_width": 512}
-"""Without it XLA keeps to 256 bits also where the CPU has more."""
+_OPTIONS = {"xla_cpu_prefer_vector_width": 512, "xla_backend_optimization_level": 1}
+"""Without the first XLA keeps to 256 bits also where the CPU has more; the second compiles in less time, no worse."""
 
 
-@functools.cache
-def _compiled(devices: int):
-    """`_piece`, for one device, or one piece on each of several devices."""
-    if devices == 1:
-        return jax.jit(_piece, static_argnames="accuracy", compiler_options=_WIDE)
+_PROGRAMS: dict[Any, Any] = {}
+_COMPILING = threading.Lock()
+
+
+def _program(devices: int, arguments: tuple, accuracy: Accuracy):
+    """`_piece` compiled for `arguments`, on one device or a piece on each of several; once, however many ask."""
+    leaves, structure = jax.tree.flatten(arguments)
+    key = (devices, accuracy, structure, *((leaf.shape, leaf.dtype) for leaf in leaves))
+    with _COMPILING:
+        if key not in _PROGRAMS:
+            wanted = jax.jit(_alone if devices == 1 else _shared, static_argnums=4, compiler_options=_OPTIONS)
+            _PROGRAMS[key] = wanted.lower(*arguments, accuracy).compile()
+        return _PROGRAMS[key]
+
+
+def _alone(lanes: Lanes, counts: Array, gait: Gait | None, times: Array, accuracy: Accuracy) -> Array:
+    return _piece(lanes, counts[0], gait, times, accuracy)
+
+
+def _shared(lanes: Lanes, counts: Array, gait: Gait | None, times: Array, accuracy: Accuracy) -> Array:
     mesh = Mesh(np.array(jax.local_devices()), ("lanes",))
     each, all_ = PartitionSpec("lanes"), PartitionSpec()
 
-    def sharded(lanes, count, gait, times, accuracy):
-        def one(lanes, count, gait, times):
-            return _piece(lanes, count[0], gait, times, accuracy)
+    def one(lanes, counts, gait, times):
+        return _alone(lanes, counts, gait, times, accuracy)
 
-        return jax.shard_map(one, mesh=mesh, in_specs=(each, each, all_, all_), out_specs=each, check_vma=False)(
-            lanes, count, gait, times
-        )
-
-    return jax.jit(sharded, static_argnames="accuracy", compiler_options=_WIDE)
+    specs = dict(in_specs=(each, each, all_, all_), out_specs=each)
+    return jax.shard_map(one, mesh=mesh, check_vma=False, **specs)(lanes, counts, gait, times)  # type: ignore
 
 
 def simulate_many(
@@ -180,23 +193,22 @@ def simulate_many(
     count = jax.tree.leaves(models)[0].shape[0]
     places = np.zeros((count, 3)) if start is None else np.asarray(start, np.float64)
     lanes = jax.tree.map(np.asarray, (models, gait if own_gaits else None, places))
-    shared, times = None if own_gaits else gait, jnp.asarray(times, jnp.float64)
+    rest = (jax.tree.map(np.asarray, None if own_gaits else gait), np.asarray(times, np.float64))
     devices = jax.local_device_count()
     share = PIECE * devices
-    firsts = list(range(0, count, share))
 
     def piece(first: int) -> np.ndarray:
         # Each device has a piece of its own; where lanes are missing the last one stands in and is left out.
         wanted = min(share, count - first)
-        each = -(-wanted // (devices * BLOCK)) * BLOCK if devices > 1 else wanted
-        rows = [first + d * each + np.arange(PIECE) for d in range(devices)]
-        some = jax.tree.map(lambda leaf: leaf[np.minimum(np.concatenate(rows), count - 1)], lanes)
-        sizes = np.clip(first + wanted - (first + each * np.arange(devices)), 0, each)
-        found = np.asarray(
-            _compiled(devices)(some, jnp.asarray(sizes if devices > 1 else sizes[0]), shared, times, accuracy)
-        )
+        each = -(-wanted // devices)
+        begins = np.minimum(each * np.arange(devices), wanted)
+        sizes = np.minimum(each, wanted - begins)
+        rows = np.minimum(first + begins[:, None] + np.arange(PIECE), count - 1).ravel()
+        arguments = (jax.tree.map(lambda leaf: leaf[rows], lanes), sizes, *rest)
+        found = np.asarray(_program(devices, arguments, accuracy)(*arguments))
         return np.concatenate([found[PIECE * d : PIECE * d + size] for d, size in enumerate(sizes)])
 
+    firsts = range(0, count, share)
     with ThreadPoolExecutor(1 if devices > 1 else workers or cores()) as pool:
         return np.concatenate(list(pool.map(piece, firsts)))
 

@@ -33,8 +33,6 @@ AROUND = 3
 FOLLOWS = 0.1
 """A Rayleigh board follows another where the rms distance of their paths is below this share of the path."""
 ORDER = 4
-THIN = 8
-"""The first search looks at every so many of the times."""
 GROUPS = 16
 """Sets of Rayleigh boards that are held in memory at a time."""
 
@@ -87,11 +85,11 @@ def _nearest(model: Model, gait: Gait, times: np.ndarray, columns: Columns) -> C
     twin = rayleigh(model, 1.0)
     felt = {name: column for name, column in columns.items() if name in parameters(twin)}
 
-    def trial(lanes: Sequence[int], numbers: Sequence[int], thin: int) -> np.ndarray:
-        """Paths, at every so many of the `times`, of the Rayleigh twins of `lanes` with k_s from `FINE`."""
+    def trial(lanes: Sequence[int], numbers: Sequence[int]) -> np.ndarray:
+        """Paths of the Rayleigh twins of `lanes` with k_s from `FINE`."""
         moved = {name: column[list(lanes)] for name, column in felt.items()}
         twins = boards(twin, {"tyre.k_s": FINE[list(numbers)], **moved})
-        return simulate_many(twins, gait, times[::thin], accuracy=ACCURACY, workers=1)[..., :2]
+        return simulate_many(twins, gait, times, accuracy=ACCURACY, workers=1)[..., :2]
 
     # Where only the tyre is varied, one row of Rayleigh boards serves all.
     everyone = np.arange(len(paths))
@@ -114,16 +112,16 @@ def _search(trial, groups: Sequence[np.ndarray], paths: np.ndarray, best: np.nda
     """
     coarse = range(0, len(FINE), BETWEEN)
     pairs = [(g, k) for g in range(len(groups)) for k in coarse]
-    tried = trial([groups[g][0] for g, _ in pairs], [k for _, k in pairs], THIN)
+    tried = trial([groups[g][0] for g, _ in pairs], [k for _, k in pairs])
     tried = tried.reshape(len(groups), len(coarse), *tried.shape[1:])
     near: dict[int, tuple[int, list[int]]] = {}
     for g, lanes in enumerate(groups):
         for lane in lanes:
-            middle = int(np.argmin(_away(tried[g], paths[lane, ::THIN]))) * BETWEEN
+            middle = int(np.argmin(_away(tried[g], paths[lane]))) * BETWEEN
             around = range(middle - BETWEEN, middle + BETWEEN + 1)
             near[int(lane)] = (g, [k for k in around if 0 <= k < len(FINE)])
     pairs = sorted({(g, k) for g, ks in near.values() for k in ks})
-    tried = trial([groups[g][0] for g, _ in pairs], [k for _, k in pairs], 1)
+    tried = trial([groups[g][0] for g, _ in pairs], [k for _, k in pairs])
     place = {pair: n for n, pair in enumerate(pairs)}
     stencils: dict[int, tuple[np.ndarray, np.ndarray]] = {}
     for lane, (g, ks) in near.items():

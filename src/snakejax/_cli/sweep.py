@@ -90,7 +90,6 @@ def work(options: argparse.Namespace, subject: Any, asked: Mapping[str, list[flo
     """Sweep one case or preset."""
     import numpy as np
 
-    from .. import plot
     from .._cluster import cluster
     from .._json import clean, heading_json, provenance_json
     from .._pieces import local
@@ -139,6 +138,8 @@ def work(options: argparse.Namespace, subject: Any, asked: Mapping[str, list[flo
     }
 
     def write(folder: Path) -> None:
+        from .. import plot
+
         say("drawing")
         found.to_netcdf(folder / "sweep.nc", engine="scipy")
         if not alone and (figure := plot.sweep(found, curve, subject.name)) is not None:

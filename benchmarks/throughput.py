@@ -1,0 +1,269 @@
+"""Simulated boards a second: lanes against SIMD C, against diffrax by vmap, and against scipy's LSODA with numba.
+
+    python benchmarks/throughput.py [REPEATS]
+
+Boards under `free`, Pacejka tyre, tracked joints, 7.7 s, every number of board, tyre, gait, controller and start
+varied by 10 %: around Table II of the paper, and around the stiffer tyres of recordings. LSODA is called by `odeint`,
+which is the faster way, and by `solve_ivp`. Each method has the loosest tolerance of its own, of a common row, whose
+positions at the end of 1024 boards are all within 1e-6 m of a reference. Needs a C compiler, AVX-512 and
+`pip install -e .[bench]`. All methods take turns in one process on one core, as often as REPEATS says; ratios are those
+of medians. Two cores and the cold command come last.
+"""
+
+import ctypes
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from snakejax import prepare_jax
+
+prepare_jax()
+
+import diffrax  # noqa: E402
+import jax  # noqa: E402
+import jax.numpy as jnp  # noqa: E402
+import numba  # noqa: E402
+import numpy as np  # noqa: E402
+from scipy.integrate import odeint, solve_ivp  # noqa: E402
+
+from snakejax import Accuracy, Board, Gait, Model, Pacejka, Sines, Tracked, simulate, simulate_many, stacked  # noqa: E402
+from snakejax._units import with_parameters  # noqa: E402
+
+USUAL = dict(
+    mass=7.0, inertia=0.4375, rotor=0.0238, length=0.25, creep=1e-3, B=0.09, C=1.8, D=1.0, E=0.6,
+    phi_a=0.916, phi_w=4.0, phi_p=0.1, psi_a=1.57, psi_w=4.0, psi_p=0.1, kp=100.0, kd=10.0, x=0.1, y=0.1, heading=0.1,
+)  # fmt: skip
+STIFFER = dict(creep=0.01, B=8.0, C=1.4, D=4.0, E=0.1)
+SECONDS, WITHIN = 7.7, 1e-6
+TOLERANCES = (1e-4, 3e-5, 1e-5, 3e-6, 1e-6, 3e-7, 1e-7, 3e-8, 1e-8, 3e-9, 1e-9)
+SAMPLE = 64
+"""Boards that LSODA and diffrax simulate; their time for more is in proportion."""
+
+Numbers = dict[str, np.ndarray]
+
+
+def varied(count: int, **other: float) -> Numbers:
+    rng = np.random.default_rng(0)
+    numbers = {name: value * rng.uniform(0.9, 1.1, count) for name, value in (USUAL | other).items()}
+    numbers["inertia"] = numbers["mass"] * numbers["length"] ** 2
+    return numbers
+
+
+def as_lanes(n: Numbers) -> tuple[Model, Gait, np.ndarray]:
+    board = Board(mass=7.0, rotor_inertia=0.0238, wheelset_inertia=0.001, half_length=0.25, creep_speed=0.01)
+    models = stacked([Model(board, Pacejka(8.0, 1.4, 4.0, 0.1), "free")] * n["mass"].size)
+    parts = {"mass": "mass", "rotor_inertia": "rotor", "half_length": "length", "creep_speed": "creep"}
+    moved = {f"board.{mine}": jnp.asarray(n[name]) for mine, name in parts.items()}
+    moved |= {f"tyre.{name}": jnp.asarray(n[name]) for name in "BCDE"}
+
+    def joint(name: str) -> Tracked:
+        terms = (jnp.asarray(n[f"{name}_{part}"])[:, None] for part in "awp")
+        return Tracked(Sines(*terms), jnp.asarray(n["kp"]), jnp.asarray(n["kd"]))
+
+    start = np.stack([n["x"], n["y"], n["heading"]], axis=1)
+    return with_parameters(models, moved), Gait(joint("phi"), joint("psi")), start
+
+
+def simd(n: Numbers) -> Callable[[float], np.ndarray]:
+    """The C program, compiled for this machine."""
+    source = Path(__file__).with_name("simd") / "lanes.c"
+    library = Path(tempfile.mkdtemp()) / "lanes.so"
+    flags = ["-O3", "-march=native", "-mprefer-vector-width=512", "-ffast-math", "-shared", "-fPIC"]
+    subprocess.run(["cc", *flags, "-o", library, source, "-lm", "-lmvec"], check=True)
+    integrate = ctypes.CDLL(str(library)).integrate
+    tableau = diffrax.Tsit5.tableau
+    stages = np.zeros((6, 6))
+    for k, row in enumerate(tableau.a_lower):
+        stages[k, : len(row)] = row
+    lanes = np.ascontiguousarray(np.stack([n[name] for name in USUAL]))
+    arrays = (stages, np.ascontiguousarray(tableau.c), np.ascontiguousarray(tableau.b_error))
+
+    def pointer(array: np.ndarray) -> ctypes.c_void_p:
+        return array.ctypes.data_as(ctypes.c_void_p)
+
+    def run(rtol: float) -> np.ndarray:
+        poses = np.zeros((lanes.shape[1], 3))
+        numbers = [ctypes.c_double(v) for v in (SECONDS, rtol, rtol / 100)]
+        integrate(pointer(lanes), ctypes.c_long(lanes.shape[1]), *map(pointer, arrays), *numbers, pointer(poses))
+        return poses
+
+    return run
+
+
+def lanes(n: Numbers, workers: int) -> Callable[[float], np.ndarray]:
+    models, gaits, start = as_lanes(n)
+
+    def run(rtol: float) -> np.ndarray:
+        accuracy = Accuracy(rtol=rtol, atol=rtol / 100, max_steps=10**6)
+        how = dict(own_gaits=True, accuracy=accuracy, workers=workers)
+        return simulate_many(models, gaits, [SECONDS], start, **how)[:, 0]
+
+    return run
+
+
+def by_vmap(n: Numbers) -> Callable[[float], np.ndarray]:
+    models, gaits, start = as_lanes(n)
+
+    def run(rtol: float) -> np.ndarray:
+        accuracy = Accuracy(rtol=rtol, atol=rtol / 100)
+        return np.asarray(_vmapped(models, gaits, start, accuracy))
+
+    return run
+
+
+def _many(models, gaits, start, accuracy):
+    def one(model, gait, at):
+        return simulate(model, gait, jnp.array([SECONDS]), at, accuracy=accuracy, throw=False).pose[-1]
+
+    return jax.vmap(one)(models, gaits, start)
+
+
+_vmapped = jax.jit(_many, static_argnames="accuracy")
+
+
+@numba.njit(fastmath=True)
+def _rates(y, t, p):
+    mass, inertia, rotor, length, creep, B, C, D, E, pa, pw, pp, ra, rw, rp, kp, kd = p[:17]
+    a = kd / 2
+    q = np.sqrt(kp - a * a)
+    fade, c, s = np.exp(-a * t), np.cos(q * t), np.sin(q * t) / q
+    e0, slope = -pa * np.sin(pp), -pa * pw * np.cos(pp) - a * pa * np.sin(pp)
+    phi = pa * np.sin(pw * t + pp) + fade * (e0 * c + slope * s)
+    f0, f_slope = -ra * np.sin(rp), -ra * rw * np.cos(rp) - a * ra * np.sin(rp)
+    f = fade * (f0 * c + f_slope * s)
+    f_rate = fade * (f_slope * c - q * q * f0 * s) - a * f
+    psi2 = -ra * rw * rw * np.sin(rw * t + rp) - kd * f_rate - kp * f
+    sine, cosine, u, w, r = np.sin(phi), np.cos(phi), y[3], y[4], y[5]
+    X = Y = N = 0.0
+    for side in (1.0, -1.0):
+        across = w + side * length * r
+        v, roll = -side * u * sine + across * cosine, u * cosine + side * across * sine
+        square = roll * roll + creep * creep
+        slip = 2 * np.arctan(v / (np.sqrt(square) + np.sqrt(square + v * v)))
+        eta = (1 - E) * slip + E / B * np.arctan(B * slip)
+        F = D * np.sin(C * np.arctan(B * eta))
+        X += F * side * sine
+        Y -= F * cosine
+        N -= side * length * F * cosine
+    d = np.empty(6)
+    d[0] = u * np.cos(y[2]) - w * np.sin(y[2])
+    d[1] = u * np.sin(y[2]) + w * np.cos(y[2])
+    d[2] = r
+    d[3] = X / mass + r * w
+    d[4] = Y / mass - r * u
+    d[5] = (N - rotor * psi2) / inertia
+    return d
+
+
+def _ends(n: Numbers, one: Callable[..., np.ndarray]) -> Callable[[float], np.ndarray]:
+    """One board after the other: `one` takes its numbers, its start and the tolerance."""
+    rows = np.stack([n[name] for name in USUAL], axis=1)
+    _rates(np.zeros(6), 0.0, rows[0])
+    return lambda rtol: np.array([one(row, np.concatenate([row[17:], np.zeros(3)]), rtol) for row in rows])
+
+
+def by_odeint(n: Numbers) -> Callable[[float], np.ndarray]:
+    def one(row, start, rtol):
+        return odeint(_rates, start, [0.0, SECONDS], args=(row,), rtol=rtol, atol=rtol / 100, mxstep=10**6)[-1, :3]
+
+    return _ends(n, one)
+
+
+def by_solve_ivp(n: Numbers) -> Callable[[float], np.ndarray]:
+    def one(row, start, rtol):
+        how = dict(method="LSODA", rtol=rtol, atol=rtol / 100)
+        return solve_ivp(lambda t, y: _rates(y, t, row), (0.0, SECONDS), start, **how).y[:3, -1]
+
+    return _ends(n, one)
+
+
+FAST = {"C, AVX-512": simd, "lanes": lambda n: lanes(n, 1)}
+
+
+def tolerance(run: Callable[[float], np.ndarray], true: np.ndarray) -> tuple[float, float]:
+    """The loosest tolerance that is good enough, and the error it leaves [m]."""
+    for rtol in TOLERANCES:
+        error = float(np.abs(run(rtol) - true)[:, :2].max())
+        if error <= WITHIN:
+            return rtol, error
+    raise SystemExit("No tolerance is good enough.")
+
+
+def seconds(work: Callable[[], object]) -> float:
+    begin = time.perf_counter()
+    work()
+    return time.perf_counter() - begin
+
+
+def compare(title: str, repeats: int, **other: float) -> None:
+    few = varied(1024, **other)
+    sample = {name: column[:SAMPLE] for name, column in few.items()}
+    slow = {"diffrax, vmap": by_vmap, "LSODA, odeint": by_odeint, "LSODA, solve_ivp": by_solve_ivp}
+    true = simd(few)(1e-12)
+    chosen = {name: tolerance(make(few), true) for name, make in FAST.items()}
+    chosen |= {name: tolerance(make(sample), true[:SAMPLE]) for name, make in slow.items()}
+    print(f"\n{title}; one core, medians of {repeats} (least to most)")
+    for count in (1024, 16384):
+        n = varied(count, **other)
+        true = simd(n)(1e-12)
+        methods = {name: (make(n), count) for name, make in FAST.items()}
+        methods |= {name: (make(sample), SAMPLE) for name, make in slow.items()} if count == 1024 else {}
+        errors = {
+            name: np.abs(run(chosen[name][0]) - true[:size])[:, :2].max() for name, (run, size) in methods.items()
+        }
+        taken: dict[str, list[float]] = {name: [] for name in methods}
+        for _ in range(repeats):
+            for name, (run, size) in methods.items():
+                taken[name].append(seconds(lambda run=run, name=name: run(chosen[name][0])) / size)
+        each = {name: statistics.median(values) for name, values in taken.items()}
+        print(f"  {f'{count} boards':16} {'boards/s':>9} {'':>17} {'against C':>10} {'solve_ivp':>10} {'odeint':>8}"
+              f" {'rtol':>7} {'error [m]':>10}")  # fmt: skip
+        for name, median in each.items():
+            low, high = 1 / max(taken[name]), 1 / min(taken[name])
+            ratios = f"{each['C, AVX-512'] / median:10.3f}"
+            for peer, width in (("LSODA, solve_ivp", 10), ("LSODA, odeint", 8)):
+                ratios += f" {each[peer] / median:{width}.1f}" if peer in each else " " * (width + 1)
+            print(f"  {name:16} {1 / median:9.0f} {f'({low:.0f} to {high:.0f})':>17} {ratios} {chosen[name][0]:7g}"
+                  f" {errors[name]:10.1e}")  # fmt: skip
+
+
+def two_cores(repeats: int) -> None:
+    """Run where both cores are allowed, in a process of its own."""
+    n = varied(16384)
+    one, two = lanes(n, 1), lanes(n, 2)
+    one(3e-6), two(3e-6)
+    taken = [(seconds(lambda: one(3e-6)), seconds(lambda: two(3e-6))) for _ in range(repeats)]
+    ratio = statistics.median(a / b for a, b in taken)
+    print(f"\nTwo cores against one, 16384 boards: {ratio:.2f} (median of {repeats})")
+
+
+def cold(repeats: int) -> None:
+    """`snakejax sweep` over 1024 boards in fresh processes; the first one, which compiles, is left out."""
+    command = [sys.executable, "-m", "snakejax", "sweep", "paper-rotate", "--vary", "D=0.5:10:1024", "--quiet"]
+    imports = "import jax, diffrax, optimistix, equinox, numpy, xarray, rich.console"
+    subprocess.run([*command, "--json", "-"], check=True, capture_output=True)
+    found = []
+    for _ in range(repeats):
+        whole = seconds(lambda: subprocess.run([*command, "--json", "-"], check=True, capture_output=True))
+        found.append((whole, seconds(lambda: subprocess.run([sys.executable, "-c", imports], check=True))))
+    said = json.loads(subprocess.run([*command, "--json", "-"], check=True, capture_output=True).stdout)["seconds"]
+    whole, imported = (statistics.median(part) for part in zip(*found, strict=True))
+    print(f"\n`snakejax sweep` of 1024 values of D with k_s of each, second run: {whole:.1f} s, of which imports")
+    print(f"{imported:.1f} s: {whole - imported:.1f} s beyond them (the command itself says {said['total']:.1f} s)")
+
+
+if __name__ == "__main__":
+    repeats = int(sys.argv[1]) if len(sys.argv) > 1 else 7
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(cores)})
+    compare("Table II of the paper", repeats)
+    compare("Tyres as of recordings", repeats, **STIFFER)
+    os.sched_setaffinity(0, cores)
+    two_cores(repeats)
+    cold(repeats)
