@@ -111,21 +111,18 @@ def _search(trial, groups: Sequence[np.ndarray], paths: np.ndarray, best: np.nda
     The lanes of a group share their Rayleigh boards, which are those of its first lane.
     """
     coarse = range(0, len(FINE), BETWEEN)
-    pairs = [(g, k) for g in range(len(groups)) for k in coarse]
-    tried = trial([groups[g][0] for g, _ in pairs], [k for _, k in pairs])
-    tried = tried.reshape(len(groups), len(coarse), *tried.shape[1:])
+    tried = _tried(trial, groups, {(g, k) for g in range(len(groups)) for k in coarse})
     near: dict[int, tuple[int, list[int]]] = {}
     for g, lanes in enumerate(groups):
+        rough = np.stack([tried[g, k] for k in coarse])
         for lane in lanes:
-            middle = int(np.argmin(_away(tried[g], paths[lane]))) * BETWEEN
+            middle = int(np.argmin(_away(rough, paths[lane]))) * BETWEEN
             around = range(middle - BETWEEN, middle + BETWEEN + 1)
             near[int(lane)] = (g, [k for k in around if 0 <= k < len(FINE)])
-    pairs = sorted({(g, k) for g, ks in near.values() for k in ks})
-    tried = trial([groups[g][0] for g, _ in pairs], [k for _, k in pairs])
-    place = {pair: n for n, pair in enumerate(pairs)}
+    tried = _tried(trial, groups, {(g, k) for g, ks in near.values() for k in ks})
     stencils: dict[int, tuple[np.ndarray, np.ndarray]] = {}
     for lane, (g, ks) in near.items():
-        squares = _away(tried[[place[g, k] for k in ks]], paths[lane])
+        squares = _away(np.stack([tried[g, k] for k in ks]), paths[lane])
         middle = int(np.argmin(squares))
         best[lane], square[lane] = FINE[ks[middle]], squares[middle]
         if 0 < ks[middle] < len(FINE) - 1 and np.isfinite(squares).all():
@@ -136,6 +133,12 @@ def _search(trial, groups: Sequence[np.ndarray], paths: np.ndarray, best: np.nda
         nodes, heights = (np.stack(part) for part in zip(*stencils.values(), strict=True))
         places, least = _least(jnp.asarray(nodes), jnp.asarray(heights))
         best[list(stencils)], square[list(stencils)] = np.exp(places), least
+
+
+def _tried(trial, groups: Sequence[np.ndarray], wanted: set[tuple[int, int]]) -> dict[tuple[int, int], np.ndarray]:
+    """The path of each wanted (group, number in `FINE`). Boards of like k_s step together: stiff ones delay others."""
+    pairs = sorted(wanted, key=lambda pair: pair[::-1])
+    return dict(zip(pairs, trial([groups[g][0] for g, _ in pairs], [k for _, k in pairs]), strict=True))
 
 
 def _away(tried: Float[np.ndarray, "k n 2"], path: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " k"]:
