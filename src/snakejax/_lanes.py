@@ -29,7 +29,7 @@ BLOCK = 64
 PIECE = 256
 """Lanes of one call of a compiled program, so that one program serves any number of lanes."""
 ACCURACY = Accuracy(rtol=1e-7, atol=1e-9, max_steps=200_000)
-FIRST_STEP = 1e-3
+FIRST_STEP, LEAST_STEP = 1e-3, 1e-12
 _SAFETY, _LEAST, _MOST = 0.8, 0.2, 5.0
 
 _TABLEAU = diffrax.Tsit5.tableau
@@ -79,7 +79,9 @@ def _block(rates: Rates, y: Leaves, times: Float[Array, "n B"], t: Float[Array, 
             t = jnp.where(go, jnp.where(last, target, t + h), t)
             y = [jnp.where(go, b, a) for a, b in zip(y, there, strict=True)]
             first = [jnp.where(go, b, a) for a, b in zip(first, slopes[-1], strict=True)]
-            return t, y, first, jnp.where(here, h_next, carry[3]), jnp.where(here, taken + 1.0, taken)
+            # A step that shrinks to nothing, as where the rates are not finite, will get no further.
+            taken = jnp.where(h_next < LEAST_STEP, float(accuracy.max_steps), taken + 1.0)
+            return t, y, first, jnp.where(here, h_next, carry[3]), jnp.where(here, taken, carry[4])
 
         def busy(carry):
             return jnp.any((carry[0] < target) & (carry[4] < accuracy.max_steps))

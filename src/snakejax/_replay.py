@@ -15,6 +15,7 @@ from ._recording import Noise, Run
 from ._simulate import Accuracy, simulate
 from ._study import Study
 
+ACCURACY = Accuracy(derivative="forward")
 _UNIT_NOISE = Noise(np.asarray(1.0), np.asarray(1.0), source="none")
 
 
@@ -30,7 +31,10 @@ def replay(model: Model, runs: Sequence[Run], starts: Float[np.ndarray, "R S"]) 
     for run, pose, done in zip(runs, np.asarray(poses), np.asarray(finished), strict=True):
         pose = pose[: run.times.shape[0]]
         if not (done and np.isfinite(pose).all()):
-            raise FitError(f"The simulation of run `{run.name}` diverges: check the parameters and the start.")
+            raise FitError(
+                f"The simulation of run `{run.name}` does not get to its end in {ACCURACY.max_steps} steps: check its"
+                " parameters, above all for a tyre too stiff (its limit is the ideal board) or steering near 90 degrees."
+            )
         found.append(pose)
     return found
 
@@ -45,7 +49,7 @@ def _placed(runs: Sequence[Run], starts: Float[np.ndarray, "R S"]) -> list[Run]:
 def _replay(model: Model, runs: Batch, starts: Float[np.ndarray, "R S"]):
     def one(times, gait, payload, start):
         loaded = eqx.tree_at(lambda m: m.board, model, replace_fn=lambda b: b.loaded(*payload))
-        done = simulate(loaded, gait, times, start, accuracy=Accuracy(derivative="forward"), throw=False)
+        done = simulate(loaded, gait, times, start, accuracy=ACCURACY, throw=False)
         return done.pose, done.finished
 
     return jax.lax.map(lambda mine: one(*mine), (runs.times, runs.gait, runs.payload, starts))

@@ -23,6 +23,10 @@ from ._units import Scalar
 State = tuple[Scalar, ...]
 
 
+ACROSS = 0.01
+"""Where |cos phi| of a wheelset is less, 0.6 degrees from 90, structures that do not let it slip are singular."""
+
+
 class Steered(NamedTuple):
     """The wheel angles of one instant, with their sines and cosines."""
 
@@ -72,10 +76,13 @@ class NoSlip(NamedTuple):
 
     @staticmethod
     def of(board: Board, steered: Steered) -> "NoSlip":
-        """From the wheel angles; see the head of this file."""
+        """From the wheel angles; see the head of this file. NaN where a wheelset stands across the board."""
         front, back = board.arm(board.wheelsets[0]), board.arm(board.wheelsets[1])
-        tangents = [s / c for s, c in zip(steered.sines, steered.cosines, strict=True)]
-        rates = [j.rate / c**2 for j, c in zip(steered.joints, steered.cosines, strict=True)]
+        # Across the board a wheelset lets it move sideways alone, and tan(phi) u says nothing of it. A solver may step
+        # over the pole unharmed, so that what lies behind is barred too.
+        cosines = [jnp.where(c > ACROSS, c, jnp.nan) for c in steered.cosines]
+        tangents = [s / c for s, c in zip(steered.sines, cosines, strict=True)]
+        rates = [j.rate / c**2 for j, c in zip(steered.joints, cosines, strict=True)]
         D = (tangents[0] - tangents[1]) / (front - back)
         D_rate = (rates[0] - rates[1]) / (front - back)
         return NoSlip(tangents[0] - front * D, D, rates[0] - front * D_rate, D_rate)
