@@ -33,7 +33,7 @@ def replay(model: Model, runs: Sequence[Run], starts: Float[np.ndarray, "R S"]) 
         if not (done and np.isfinite(pose).all()):
             raise FitError(
                 f"The simulation of run `{run.name}` does not get to its end in {ACCURACY.max_steps} steps: check its"
-                " parameters, above all for a tyre too stiff (its limit is the ideal board) or steering near 90 degrees."
+                " parameters, above all for a tyre too stiff (its limit is the ideal board) and steering by 90 degrees."
             )
         found.append(pose)
     return found
