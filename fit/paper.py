@@ -3,8 +3,9 @@
     python fit/paper.py [FOLDER] [RECORDINGS ...]
 
 writes `paper.md` and its figures into FOLDER (default `docs`). The claims are numbered P1 to P14; each gets our number
-and a verdict by a criterion that stands beside it. The paper's own recordings are not public, so that Figs. 11 and 12
-have counterparts on recordings of other boards: RECORDINGS, case folders, by default those in `data`.
+and a verdict by a criterion that stands beside it ("close": by a wider limit, or but for one case). The paper's own
+recordings are not public, so that Figs. 11 and 12 have counterparts on recordings of other boards: RECORDINGS, case
+folders, by default those in `data`.
 """
 
 import sys
@@ -29,6 +30,8 @@ LOADS, CAMBERS = np.linspace(0.5, 10.0, 11), np.linspace(0.0, 0.6, 3)
 RECORDINGS = ("level-board", "tilted-floor", "spring-board")
 GAITS = ("paper-gait1", "paper-gait2", "paper-forward", "paper-rotate")
 SKIDS = ("coupled", "free")
+CLEARLY = 0.01
+"""A share of a misfit that is more than rounding."""
 
 
 class Claim(NamedTuple):
@@ -207,6 +210,7 @@ def loaded(folder: Path) -> list[Claim]:
         keep(figure, folder, figure_name)
     first = [matched["paper-gait1", load] for load in (2.54, 5.08)]
     second = [matched["paper-gait2", load] for load in (2.54, 5.08)]
+    others = untuned(first)
     rows.append(
         Claim(
             "P6",
@@ -222,8 +226,8 @@ def loaded(folder: Path) -> list[Claim]:
             "Gait 2: similar shape, diverging slowly; tuning reduces it",
             ", ".join(f"{100 * m:.2g} % at the best k_s = {k:.3g}" for k, m in second)
             + "; at the k_s of gait 1: "
-            + ", ".join(f"{100 * m:.2g} %" for m in untuned(first)),
-            verdict(max(m for _, m in second) < 0.1),
+            + ", ".join(f"{100 * m:.2g} %" for m in others),
+            verdict(max(m for _, m in second) < 0.1 and all(m < u for (_, m), u in zip(second, others, strict=True))),
             "rms distance below 10 %, and less than untuned",
         )
     )
@@ -351,6 +355,8 @@ def recorded(folder: Path, recordings: list[Path]) -> tuple[list[Claim], str]:
     for place in recordings:
         case = sj.load_case(place)
         noise = sj.noise_of(case)
+        forward = [run for run in case.having("train") if "forward" in run.name]
+        beaten.append(sj.fit(sj.starting_model(case, "rayleigh"), forward, noise).train_score.misfit)
         fits = {
             "rayleigh": sj.fit(sj.starting_model(case, "rayleigh"), case.runs, noise),
             "pacejka": sj.fit(sj.starting_model(case), case.runs, noise),
@@ -362,8 +368,6 @@ def recorded(folder: Path, recordings: list[Path]) -> tuple[list[Claim], str]:
         for gait in gains:
             excess = {what: misfit(fit, gait) for what, fit in fits.items()}
             gain = (excess["pacejka"] - excess["slip"]) / excess["pacejka"]
-            if gait == "forward":
-                beaten.append(excess["rayleigh"])
             gains[gait].append(gain)
             shown = " | ".join(f"{excess[what]:.4g}" for what in fits)
             lines.append(f"| {case.name} | {gait} | {shown} | {100 * gain:+.1f} % |")
@@ -371,17 +375,19 @@ def recorded(folder: Path, recordings: list[Path]) -> tuple[list[Claim], str]:
         "| recording | gait | Rayleigh | Pacejka | with longitudinal slip | lowered by |",
         "|---|---|---|---|---|---|",
     ]
-    more = sum(f > r for f, r in zip(gains["forward"], gains["rotate"], strict=True))
+    more = sum(f > r + CLEARLY for f, r in zip(gains["forward"], gains["rotate"], strict=True))
     rows = [
         Claim(
             "P10", "Forward disagrees more than rotate because longitudinal slip is missing (a hypothesis)",
             f"adding it lowers the misfit of forward by more than that of rotate on {more} of {len(recordings)}"
             " recordings",
-            "tested", "these boards are not the paper's: what is said holds for them; the table has each",
+            "tested", "by a hundredth of it at least, fitted to all train runs; these boards are not the paper's: what"
+            " is said holds for them",
         ),
         Claim(
             "P13", "No k_s matches the forward recording",
-            f"misfit of forward at the best k_s: {min(beaten):.3g} to {max(beaten):.3g} times the noise",
+            f"misfit of the forward runs at the k_s that is best for them: {min(beaten):.3g} to {max(beaten):.3g} times"
+            " the noise",
             verdict(min(beaten) > 2), "above twice the noise. The paper's own is not public: nobody can replay it",
         ),
     ]  # fmt: skip

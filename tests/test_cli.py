@@ -470,6 +470,9 @@ def test_sweep_over_two_parameters_and_over_a_table(say, tmp_path):
     assert said.status == 0 and said.err == ""
     rows = json.loads(said.out)
     assert rows["axes"] == ["row"] and rows["board.mass"] == [7, 7, 9] and len(rows["k_s"]) == 3
+    (tmp_path / "boards.csv").write_text("D\n" + "".join(f"{D}\n" for D in (4, 1, 2, 3, 5, 6, 7)))
+    said = say("sweep", "paper-rotate", "--table", tmp_path / "boards.csv", "--json", "-", "--quiet")
+    assert json.loads(said.out)["polynomial"] is None  # its axis is the row
     said = say("sweep", "paper-gait1", "--vary", "load=2:3:2", "--vary", "camber=0:0.5:2", "--json", "-", "--quiet")
     assert np.shape(json.loads(said.out)["mismatch"]) == (2, 2)
 

@@ -105,3 +105,20 @@ def test_eight_devices_share_the_lanes_and_find_the_same(tmp_path: Path) -> None
     environment = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=8"}
     subprocess.run([sys.executable, script, tmp_path / "found.npy"], env=environment, check=True)
     np.testing.assert_allclose(np.load(tmp_path / "found.npy"), alone, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("times", "start", "accuracy", "why"),
+    [
+        ([2.0, 1.0], None, SHARP, "increase"),
+        ([], None, SHARP, "finite"),
+        ([np.nan], None, SHARP, "finite"),
+        ([-1.0, 1.0], None, SHARP, "from 0 on"),
+        ([1.0], np.zeros((2, 3)), SHARP, "shape"),
+        ([1.0], None, Accuracy(step=0.01), "fixed step"),
+    ],
+)
+def test_what_lanes_cannot_do_is_refused(times, start, accuracy, why) -> None:
+    example = preset("paper-rotate")
+    with pytest.raises(ValueError, match=why):
+        simulate_many(stacked([example.model]), example.gait, times, start, accuracy=accuracy)

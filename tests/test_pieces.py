@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from snakejax import cluster, preset, sweep
+from snakejax._cluster import ClusterError
 from snakejax._errors import InputError
 from snakejax._lanes import PIECE
 from snakejax._pieces import fingerprint, in_pieces, local
@@ -131,6 +132,41 @@ def test_a_cluster_of_processes_finds_the_same_and_a_killed_worker_loses_nothing
         )
     np.testing.assert_array_equal(here.heading, there.heading)
     assert told[-1] == 6 * PIECE and len(told) == 7
+
+
+def fail(columns):
+    raise ArithmeticError("the third wheel came off")
+
+
+@pytest.mark.slow
+def test_what_goes_wrong_on_a_cluster_is_one_line() -> None:
+    from distributed import LocalCluster
+
+    with LocalCluster(1, threads_per_worker=1, dashboard_address=None, processes=False) as workers:
+        work = cluster(workers.scheduler_address)
+        for _ in range(2):  # it can be used again
+            assert dict(work(square, {3: {"a": np.ones(1), "b": np.ones(1)}}))[3]["square"] == [2.0]
+        with pytest.raises(ClusterError, match="the third wheel came off"):
+            dict(work(fail, {0: {"a": np.ones(1)}}))
+    nobody = LocalCluster(n_workers=0, threads_per_worker=1, dashboard_address=None, processes=False)
+    with nobody, pytest.raises(InputError, match="has no workers"):
+        cluster(nobody.scheduler_address)
+
+
+def test_a_fingerprint_knows_the_code_of_an_effect_of_ones_own() -> None:
+    def loaded(slope: float):
+        space: dict = {"__name__": "mine"}
+        exec(
+            "from snakejax import Force, param\n"
+            "class Spring(Force):\n"
+            "    k: float = param('N/m', default=0.0)\n"
+            "    def wrench(self, motion):\n"
+            f"        return {slope} * self.k * motion.x, 0.0 * motion.x, 0.0 * motion.x\n",
+            space,
+        )
+        return preset("paper-rotate").model.add(spring=space["Spring"]())
+
+    assert fingerprint(loaded(1.0)) == fingerprint(loaded(1.0)) != fingerprint(loaded(2.0))
 
 
 def test_a_scheduler_that_is_not_there_is_one_line() -> None:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from snakejax import Accuracy, Rayleigh, grid, nearest_rayleigh, polynomial, preset, simulate, sweep, table
+from snakejax import Accuracy, Model, Rayleigh, grid, nearest_rayleigh, polynomial, preset, simulate, sweep, table
 from snakejax._cli._options import varied
 from snakejax._errors import InputError
 from snakejax._rayleigh import FOLLOWS, rayleigh
@@ -112,8 +112,7 @@ def test_a_board_that_no_rayleigh_board_follows_has_no_k_s_but_a_mismatch() -> N
     found = nearest_rayleigh(example.model, example.gait, times, {"tyre.D": [1e-6, 3.0]})
     assert np.isnan(found.k_s.values[0]) and found.mismatch.values[0] > 0
     assert np.isfinite(found.best.values).all()
-    follows = found.mismatch.values[1] < FOLLOWS
-    assert np.isfinite(found.k_s.values[1]) == follows
+    assert found.k_s.values[1] == found.best.values[1] and found.mismatch.values[1] < FOLLOWS
 
 
 def test_a_rayleigh_board_keeps_what_needs_no_slip_angle() -> None:
@@ -138,3 +137,28 @@ def test_where_an_effect_is_varied_each_board_is_compared_with_rayleigh_boards_t
     alone = nearest_rayleigh(fixed, example.gait, example.times, {"tyre.D": [float(fixed.tyre.D)]})
     assert together.mismatch.values[1] == pytest.approx(alone.mismatch.values[0], rel=1e-9)
     np.testing.assert_allclose(together.best.values[1], alone.best.values[0], rtol=1e-9)
+
+
+def test_boards_of_their_own_kind_and_tyres_beyond_their_formulas_are_refused() -> None:
+    example = preset("paper-rotate")
+    for model in (rayleigh(example.model, 3.0), Model(example.model.board, example.model.tyre, "ideal")):
+        with pytest.raises(ValueError, match="no other to come near"):
+            nearest_rayleigh(model, example.gait, [1.0], {"board.mass": [7.0]})
+    loaded = preset("paper-gait1")
+    with pytest.raises(ValueError, match="beyond Bakker's formulas"):
+        nearest_rayleigh(loaded.model, loaded.gait, [1.0], {"tyre.camber": [0.0, 1.0]})
+
+
+def test_a_constant_k_s_has_no_r_squared() -> None:
+    assert polynomial(np.arange(7.0), np.full(7, 9.0)).r_squared is None
+    assert polynomial(np.arange(7.0), 9.0 + 1e-12 * np.arange(7.0)).r_squared is None
+
+
+def test_a_board_that_cannot_be_simulated_is_told_from_one_that_none_follows(monkeypatch) -> None:
+    from snakejax import _rayleigh
+
+    monkeypatch.setattr(_rayleigh, "ACCURACY", Accuracy(rtol=1e-7, atol=1e-9, max_steps=20_000))
+    example = preset("paper-rotate")
+    found = nearest_rayleigh(example.model, example.gait, np.linspace(0, 2, 41), {"tyre.D": [1.0, 1e9]})
+    assert np.isfinite(found.x.values[0]) and np.isfinite(found.mismatch.values[0])
+    assert np.isinf(found.x.values[1]) and np.isnan([found[n].values[1] for n in ("k_s", "best", "mismatch")]).all()

@@ -1,13 +1,18 @@
 """Work on an existing Dask cluster, the one room that knows Dask."""
 
-import sys
+import logging
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 from ._errors import InputError
 from ._pieces import Columns, Executor, Work
 
 PATIENCE = 10
-"""Seconds to wait for the scheduler."""
+"""Seconds to wait for the scheduler, and for a first worker."""
+
+
+class ClusterError(RuntimeError):
+    """A cluster that began to work and did not end."""
 
 
 def _on_worker(work: Work, piece: Columns) -> Columns:
@@ -17,37 +22,46 @@ def _on_worker(work: Work, piece: Columns) -> Columns:
     return work(piece)
 
 
-def cluster(address: str) -> Executor:
-    """The workers of the Dask scheduler at `address`, such as tcp://host:8786; each needs this package.
-
-    A piece whose worker dies is computed by another. **Raises:** `InputError` where Dask is not installed or no
-    scheduler answers.
-    """
+def _client(address: str) -> Any:
     try:
-        from distributed import Client, as_completed
+        from distributed import Client
     except ImportError:
-        what = "Dask is not installed"
-        raise InputError(what, "option --cluster", "pip install 'snakejax[cluster]'") from None
+        remedy = "pip install 'snakejax[cluster]'"
+        raise InputError("Dask is not installed", "option --cluster", remedy) from None
+    # What goes wrong is said in one line of ours.
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
     try:
-        client = Client(address, timeout=PATIENCE, set_as_default=False)
+        return Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError, TimeoutError):
         what = f"No Dask scheduler answers at {address}"
         raise InputError(what, "option --cluster", "start one with `dask scheduler`, and give its address") from None
 
+
+def cluster(address: str) -> Executor:
+    """The workers of the Dask scheduler at `address`, such as tcp://host:8786; each needs this package.
+
+    A piece whose worker dies is computed by another.
+    **Raises:** `InputError` where Dask is not installed, no scheduler answers, or it has no workers; while it works,
+    `ClusterError` where the scheduler is lost or a piece fails on every worker.
+    """
+    with _client(address) as client:
+        try:
+            client.wait_for_workers(1, timeout=PATIENCE)
+        except TimeoutError:
+            what = f"The Dask scheduler at {address} has no workers"
+            raise InputError(what, "option --cluster", f"start one with `dask worker {address}`") from None
+
     def shared(work: Work, pieces: Mapping[int, Columns]) -> Iterator[tuple[int, Columns]]:
-        _by_value(work)
-        with client:
+        from distributed import as_completed
+
+        with _client(address) as client:
             futures = {client.submit(_on_worker, work, piece, pure=False): k for k, piece in pieces.items()}
-            for future, result in as_completed(list(futures), loop=client.loop, with_results=True):
+            for future in as_completed(list(futures), loop=client.loop):
+                try:
+                    result = future.result()
+                except Exception as error:
+                    why = str(error).splitlines()[0] if str(error) else type(error).__name__
+                    raise ClusterError(f"The cluster at {address} failed ({why})") from error
                 yield futures[future], result
 
     return shared
-
-
-def _by_value(work: Work) -> None:
-    """Send classes that a user loaded from a file of their own along, since no worker could import them."""
-    import cloudpickle
-
-    for name, module in list(sys.modules.items()):
-        if name.startswith("_snakejax_effect_"):
-            cloudpickle.register_pickle_by_value(module)

@@ -327,7 +327,7 @@ def as_text(result: Any) -> str:
     return json.dumps(clean(result), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def write_whole(path: Path | str, text: str) -> Path:
+def write_whole(path: Path | str, text: str | bytes) -> Path:
     """Write `text` to `path`, which is there whole or, where the program is stopped, as it was before.
 
     **Raises:** `InputError` where it cannot be written.
@@ -337,8 +337,8 @@ def write_whole(path: Path | str, text: str) -> Path:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
-            file.write(text)
+        with os.fdopen(handle, "wb") as file:
+            file.write(text.encode() if isinstance(text, str) else text)
         os.chmod(temporary, 0o666 & ~_umask())
         os.replace(temporary, path)
         temporary = None

@@ -74,7 +74,7 @@ def _block(rates: Rates, y: Leaves, times: Float[Array, "n B"], t: Float[Array, 
             factor = jnp.where(jnp.isfinite(square), jnp.clip(_SAFETY / root, _LEAST, _MOST), _LEAST)
             grown = h * factor
             h_next = jnp.where(good & (h < h_next), jnp.maximum(grown, h_next), grown)
-            here = left > 0
+            here = (left > 0) & (taken < accuracy.max_steps)
             go = good & here
             t = jnp.where(go, jnp.where(last, target, t + h), t)
             y = [jnp.where(go, b, a) for a, b in zip(y, there, strict=True)]
@@ -189,13 +189,21 @@ def simulate_many(
 
     **Arguments:** `models`: one whose arrays have a leading axis V (`stacked`). `gait`: one for all, or with
     `own_gaits` stacked like `models`. `times` [s] (n,), increasing. `start` (V, 3), default the origin.
-    **Raises:** `RuntimeError` without double precision.
+    **Raises:** `RuntimeError` without double precision; `ValueError` for times that do not increase from 0 on.
     """
     require_x64()
-    count = jax.tree.leaves(models)[0].shape[0]
+    frames, count = np.asarray(times, np.float64), jax.tree.leaves(models)[0].shape[0]
+    if frames.ndim != 1 or not frames.size or not np.isfinite(frames).all() or frames[0] < 0:
+        raise ValueError("Argument `times` must be a row of finite numbers from 0 on.")
+    if (np.diff(frames) <= 0).any():
+        raise ValueError("Argument `times` must increase.")
+    if start is not None and np.shape(start) != (count, 3):
+        raise ValueError(f"Argument `start` must have the shape {(count, 3)}, but it has {np.shape(start)}.")
+    if accuracy.step is not None:
+        raise ValueError("Lanes choose their own steps: leave out the fixed step of `accuracy`.")
     places = np.zeros((count, 3)) if start is None else np.asarray(start, np.float64)
     lanes = jax.tree.map(np.asarray, (models, gait if own_gaits else None, places))
-    rest = (jax.tree.map(np.asarray, None if own_gaits else gait), np.asarray(times, np.float64))
+    rest = (jax.tree.map(np.asarray, None if own_gaits else gait), frames)
     devices = jax.local_device_count()
     share = PIECE * devices
 

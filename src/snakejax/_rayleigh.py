@@ -16,6 +16,7 @@ from ._gait import Gait
 from ._lanes import ACCURACY, simulate_many
 from ._model import Model
 from ._pieces import Columns, Executor, local
+from ._skid import Ideal
 from ._sweep import Axes, Progress, boards, coordinates, grid, portable, require_possible, run, silent
 from ._tyre import Rayleigh
 from ._units import parameters
@@ -49,6 +50,7 @@ def nearest_rayleigh(
     times: Float[Array, " n"],
     over: Axes | Mapping[str, Sequence[float]],
     *,
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0),
     folder: Path | str | None = None,
     executor: Executor = local,
     progress: Progress = silent,
@@ -60,28 +62,35 @@ def nearest_rayleigh(
 
     **Arguments:** as `sweep`. **Returns:** along the axes `k_s` [N s/m], NaN where none fits: where the mismatch is
     above `FOLLOWS`, or the best is at an end of the grid; `mismatch`, the rms distance of the two paths over the path
-    length of the first; `best`, the k_s of that distance in any case; `path` [m]; and `x`, `y`, `heading` at the end.
-    **Raises:** `ValueError` as `sweep`, and for a model that is itself a Rayleigh board.
+    length of the first; `best`, the k_s of that distance in any case; `path` [m]; and `x`, `y`, `heading` at the end,
+    infinite for a board whose own simulation needs too many steps, of which all else is NaN.
+    **Raises:** `ValueError` as `sweep`, and for a model that is itself a Rayleigh or an ideal board.
 
     Source: Salman et al., CDC 2016, Figs. 5 to 8.
     """
     import xarray
 
-    if isinstance(model.tyre, Rayleigh):
-        raise ValueError("A Rayleigh board needs no other to come near it: vary the parameters of a Pacejka board.")
+    if isinstance(model.tyre, Rayleigh) or isinstance(model.skid, Ideal):
+        raise ValueError("A Rayleigh or ideal board needs no other to come near it: vary those of a Pacejka board.")
     axes = over if isinstance(over, Axes) else grid(over)
     require_possible(model, axes)
-    work = functools.partial(_nearest, *portable((model, gait, np.asarray(times, np.float64))))
+    work = functools.partial(_nearest, *portable((model, gait, np.asarray(times, np.float64), start)))
     found = {name: axes.laid_out(column) for name, column in run(work, axes, folder, executor, progress).items()}
     units = {"k_s": "N s/m", "best": "N s/m", "mismatch": "1", "path": "m", "x": "m", "y": "m", "heading": "rad"}
     data = {name: (axes.dims, found[name], {"units": unit}) for name, unit in units.items()}
     return xarray.Dataset(data, coordinates(model, axes))
 
 
-def _nearest(model: Model, gait: Gait, times: np.ndarray, columns: Columns) -> Columns:
-    pose = simulate_many(boards(model, columns), gait, times, accuracy=ACCURACY, workers=1)
+def _nearest(model: Model, gait: Gait, times: np.ndarray, start: tuple[float, ...], columns: Columns) -> Columns:
+    def simulated(models: Model, count: int) -> np.ndarray:
+        starts = np.broadcast_to(np.asarray(start, np.float64), (count, 3))
+        return simulate_many(models, gait, times, starts, accuracy=ACCURACY, workers=1)
+
+    pose = simulated(boards(model, columns), len(next(iter(columns.values()))))
     paths = pose[..., :2]
-    length = np.linalg.norm(np.diff(paths, axis=1), axis=-1).sum(axis=1)
+    finished = np.isfinite(pose).all(axis=(1, 2))
+    with np.errstate(invalid="ignore"):
+        length = np.linalg.norm(np.diff(paths, axis=1), axis=-1).sum(axis=1)
     twin = rayleigh(model, 1.0)
     felt = {name: column for name, column in columns.items() if name in parameters(twin)}
 
@@ -89,7 +98,7 @@ def _nearest(model: Model, gait: Gait, times: np.ndarray, columns: Columns) -> C
         """Paths of the Rayleigh twins of `lanes` with k_s from `FINE`."""
         moved = {name: column[list(lanes)] for name, column in felt.items()}
         twins = boards(twin, {"tyre.k_s": FINE[list(numbers)], **moved})
-        return simulate_many(twins, gait, times, accuracy=ACCURACY, workers=1)[..., :2]
+        return simulated(twins, len(lanes))[..., :2]
 
     # Where only the tyre is varied, one row of Rayleigh boards serves all.
     everyone = np.arange(len(paths))
@@ -97,6 +106,7 @@ def _nearest(model: Model, gait: Gait, times: np.ndarray, columns: Columns) -> C
     best, square = np.full(len(paths), np.nan), np.full(len(paths), np.inf)
     for first in range(0, len(groups), GROUPS):
         _search(trial, groups[first : first + GROUPS], paths, best, square)
+    best, square, length = (np.where(finished & np.isfinite(square), part, np.nan) for part in (best, square, length))
     mismatch = np.sqrt(square) / np.where(length > 0, length, np.nan)
     inside = (best > COARSE[0]) & (best < COARSE[-1])
     with np.errstate(invalid="ignore"):
@@ -169,7 +179,10 @@ def _least(nodes: Float[Array, "V m"], heights: Float[Array, "V m"]) -> tuple[Ar
 
 
 class Polynomial(NamedTuple):
-    """k_s as a polynomial of one parameter: `coefficients`, highest order first, over `fitted_range`."""
+    """k_s as a polynomial of one parameter: `coefficients`, highest order first, over `fitted_range`.
+
+    `r_squared` is None where k_s does not change.
+    """
 
     coefficients: tuple[float, ...]
     r_squared: float | None
@@ -181,7 +194,7 @@ class Polynomial(NamedTuple):
 
 
 def polynomial(values: Float[np.ndarray, " V"], k_s: Float[np.ndarray, " V"]) -> Polynomial | None:
-    """The polynomial of order 4 through `k_s` over the longest stretch of `values` that have one.
+    """The polynomial of order 4 through `k_s` over the longest stretch of `values`, which ascend, that have one.
 
     None where this stretch has fewer than 6 values. Source: paper, Fig. 8.
     """
@@ -194,7 +207,8 @@ def polynomial(values: Float[np.ndarray, " V"], k_s: Float[np.ndarray, " V"]) ->
     x, y = values[first:last], k_s[first:last]
     fitted = np.polynomial.Polynomial.fit(x, y, ORDER)
     spread = float(((y - y.mean()) ** 2).sum())
-    r_squared = 1.0 - float(((y - fitted(x)) ** 2).sum()) / spread if spread > 0 else None
+    constant = spread <= y.size * (1e-9 * np.abs(y).max()) ** 2
+    r_squared = None if constant else 1.0 - float(((y - fitted(x)) ** 2).sum()) / spread
     coefficients = tuple(float(c) for c in fitted.convert().coef[::-1])
     coefficients = (0.0,) * (ORDER + 1 - len(coefficients)) + coefficients
     return Polynomial(coefficients, r_squared, (float(x[0]), float(x[-1])))

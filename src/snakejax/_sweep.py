@@ -77,6 +77,13 @@ def require_possible(model: Model, axes: Axes) -> None:
     for name, column in axes.columns.items():
         for end in (column.min(), column.max(), *column[~np.isfinite(column)][:1]):
             with_parameters(model, {name: float(end)})
+    if isinstance(model.tyre, Bakker):
+        tyre = boards(model, axes.columns).tyre
+        for name, part in parameters(tyre).items():
+            for value in np.asarray(part.value):
+                if why := part.domain.complaint(float(value)):
+                    where = "its load and camber are beyond Bakker's formulas"
+                    raise ValueError(f"A tyre would have {name} = {float(value):.3g}, which {why}: {where}.")
 
 
 def boards(model: Model, columns: Columns) -> Model:

@@ -111,8 +111,8 @@ def progress(quiet: bool) -> Iterator[Say]:
         task = bar.add_task("starting", total=None)
 
         def say(message: str, done: int | None = None, total: int | None = None) -> None:
-            if total is None and bar.tasks[0].total is not None:
-                bar.reset(task, total=None)
+            if total is None:
+                bar.tasks[0].total = None  # `update` takes None for no news
             bar.update(task, description=message, completed=done or 0, total=total)
 
         yield say
@@ -158,6 +158,7 @@ def each_case(
     from ._main import DONE, FAILED, WRONG, complain, unexpected
 
     start_jax()
+    from .._cluster import ClusterError
     from .._fit import FitError
     from .._json import require_writable
 
@@ -187,7 +188,7 @@ def each_case(
 
                 found = work(case, told)
                 _deliver(options, name, found, wanted, apart=len(options.cases) > 1)
-            except FitError as error:
+            except (FitError, ClusterError) as error:
                 status = max(status, complain(f"{str(error).rstrip('.')} ({name})", FAILED))
             except InputError as error:
                 if error.where.startswith("option"):

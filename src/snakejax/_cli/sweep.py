@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .._errors import InputError, at_line, instead_of
-from ._options import add_cases, add_command, add_loading, add_model, finite, given, varied
+from ._options import add_cases, add_command, add_loading, add_model, finite, given, start_pose, varied
 from ._setup import Clock, Outcome, Say, each_case
 from .fit import fitted
 
@@ -46,6 +46,7 @@ def add(commands: Any) -> None:
     command.add_argument(
         "--table", metavar="FILE.csv", help="in place of --vary: a column for each parameter, a row for each board"
     )
+    command.add_argument("--start", metavar="X,Y,HEADING", help="where the boards start [m, m, rad] (default 0,0,0)")
     command.add_argument("--run", metavar="RUN", dest="gait", help="the run whose gait it follows (default the first)")
     command.add_argument(
         "--cluster", metavar="ADDRESS", help="compute on the Dask cluster of the scheduler there, as in tcp://host:8786"
@@ -88,40 +89,47 @@ def columns_of(path: Path) -> dict[str, list[float]]:
 
 def work(options: argparse.Namespace, subject: Any, asked: Mapping[str, list[float]] | None, say: Say) -> Outcome:
     """Sweep one case or preset."""
+    import equinox as eqx
     import numpy as np
 
     from .._cluster import cluster
-    from .._json import clean, heading_json, provenance_json
+    from .._fit import FitError
+    from .._json import clean, heading_json, provenance_json, write_whole
     from .._pieces import local
     from .._presets import Preset
     from .._rayleigh import nearest_rayleigh, polynomial
+    from .._skid import Ideal
     from .._sweep import grid, sweep, table
     from .._tyre import Rayleigh
 
     clock = Clock()
     preset = isinstance(subject, Preset)
-    gait, times = (subject.gait, subject.times) if preset else _gait(options, subject)
+    start = start_pose(options.start) or (0.0, 0.0, 0.0)
+    executor = cluster(options.cluster) if options.cluster else local
+    run_ = None if preset else _run(options, subject)
+    gait, times = (subject.gait, subject.times) if run_ is None else (run_.gait, run_.times)
     lines = {one.name: np.linspace(one.low, one.high, one.count) for one in map(varied, options.vary or ())}
     axes = table(asked) if asked else grid(lines)
     model, axes = _prepared(options, subject, axes, say)
+    if run_ is not None:
+        model = eqx.tree_at(lambda m: m.board, model, model.board.loaded(*run_.payload))
     what = f"sweeping {' and '.join(axes.coordinates)}"
     how = {
         "folder": options.out and Path(options.out) / "pieces",
-        "executor": cluster(options.cluster) if options.cluster else local,
+        "executor": executor,
+        "start": start,
         "progress": lambda done, total: say(what, done, total),
     }
-    alone = isinstance(model.tyre, Rayleigh) or options.model == "ideal"
+    alone = isinstance(model.tyre, Rayleigh) or isinstance(model.skid, Ideal)
     curve = None
-    try:
-        if alone:
-            found = sweep(model, gait, times[-1:], axes, **how).isel(time=0, drop=True)
-        else:
-            found = nearest_rayleigh(model, gait, times, axes, **how)
-    except OSError as error:
-        remedy = "name a folder you may write to"
-        raise InputError(f"Cannot keep the results ({error.strerror})", str(how["folder"]), remedy) from None
+    if alone:
+        found = sweep(model, gait, times[-1:], axes, **how).isel(time=0, drop=True)
+    else:
+        found = nearest_rayleigh(model, gait, times, axes, **how)
+    if not np.isfinite(found.x.values).any():
+        raise FitError("None of the boards gets to the end of its run: they are too stiff, or steered by 90 degrees")
     dims = list(axes.dims)
-    if not alone and len(dims) == 1 and len(axes.coordinates) == 1:
+    if not alone and dims == list(axes.coordinates) and len(dims) == 1:
         curve = polynomial(found[dims[0]].values, found.k_s.values)
     provenance = provenance_json(options.seed, given(options), {} if preset else subject.sha256)
     ends = {"x_m": "x", "y_m": "y", "heading_rad": "heading"}
@@ -141,21 +149,24 @@ def work(options: argparse.Namespace, subject: Any, asked: Mapping[str, list[flo
         from .. import plot
 
         say("drawing")
-        found.to_netcdf(folder / "sweep.nc", engine="scipy")
+        write_whole(folder / "sweep.nc", bytes(found.to_netcdf(engine="scipy")))
         if not alone and (figure := plot.sweep(found, curve, subject.name)) is not None:
             plot.save(figure, folder, "sweep")
 
     return Outcome(clean(result), _report(subject.name, found, curve, list(axes.coordinates)), write)
 
 
-def _gait(options: argparse.Namespace, case: Any) -> tuple[Any, Any]:
-    """Gait and times of the run asked for."""
+def _run(options: argparse.Namespace, case: Any) -> Any:
+    """The run asked for. **Raises:** `InputError` for one that is not there, or was under way at its first sample."""
     names = [run_.name for run_ in case.runs]
     name = names[0] if options.gait is None else options.gait
     if name not in names:
         raise InputError(f"There is no run `{name}` in {case.name}", "option --run", instead_of(name, names))
     found = case.runs[names.index(name)]
-    return found.gait, found.times
+    if found.moving:
+        what = f"Run `{name}` was under way at its first sample, and boards start at rest here"
+        raise InputError(what, "option --run", "name a run from rest")
+    return found
 
 
 def _prepared(options: argparse.Namespace, subject: Any, axes: "Axes", say: Say) -> "tuple[Model, Axes]":
@@ -211,7 +222,9 @@ def _report(title: str, found: Any, curve: Any, names: list[str]) -> Any:
         cells = [f"{float(flat[name].values[k]):.4g}" for name in names]
         if followed:
             k_s, mismatch = float(flat.k_s.values[k]), float(flat.mismatch.values[k])
-            cells += [f"{k_s:.4g}" if np.isfinite(k_s) else "none fits", f"{100 * mismatch:.2g} %"]
+            none = "none fits" if np.isfinite(flat.x.values[k]) else "too stiff"
+            cells += [f"{k_s:.4g}" if np.isfinite(k_s) else none]
+            cells += [f"{100 * mismatch:.2g} %" if np.isfinite(mismatch) else "-"]
         else:
             cells += [f"{float(flat[name].values[k]):.4g}" for name in ("x", "y", "heading")]
         add_row(table, *cells)
@@ -222,7 +235,8 @@ def _report(title: str, found: Any, curve: Any, names: list[str]) -> Any:
         (low, high), name = curve.fitted_range, names[0]
         powers = [f" {name}^4", f" {name}^3", f" {name}^2", f" {name}", ""]
         terms = " ".join(f"{c:+.4g}{power}" for power, c in zip(powers, curve.coefficients, strict=True))
-        lines.append(Text(f"k_s = {terms}, {name} from {low:.4g} to {high:.4g}, R^2 = {curve.r_squared:.5f}"))
+        r_squared = "k_s does not change" if curve.r_squared is None else f"R^2 = {curve.r_squared:.5f}"
+        lines.append(Text(f"k_s = {terms}, {name} from {low:.4g} to {high:.4g}, {r_squared}"))
     elif followed and len(found.dims) == 1:
         lines.append(Text("Too few values have a k_s for a polynomial."))
     return Group(*lines)
