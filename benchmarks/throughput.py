@@ -247,7 +247,8 @@ def two_cores(repeats: int) -> None:
 def cold(repeats: int) -> None:
     """`snakejax sweep` over 1024 boards in fresh processes; the first one, which compiles, is left out."""
     command = [sys.executable, "-m", "snakejax", "sweep", "paper-rotate", "--vary", "D=0.5:10:1024", "--quiet"]
-    imports = "import jax, diffrax, optimistix, equinox, numpy, xarray, rich.console"
+    mine = ("_cli.sweep", "_cli._models", "_cli._setup", "_rayleigh", "_cluster", "_presets", "_json", "_text", "_case")
+    imports = "; ".join(f"import snakejax.{name}" for name in mine) + "; import xarray, rich.console, rich.progress"
     subprocess.run([*command, "--json", "-"], check=True, capture_output=True)
     found = []
     for _ in range(repeats):
@@ -255,7 +256,7 @@ def cold(repeats: int) -> None:
         found.append((whole, seconds(lambda: subprocess.run([sys.executable, "-c", imports], check=True))))
     said = json.loads(subprocess.run([*command, "--json", "-"], check=True, capture_output=True).stdout)["seconds"]
     whole, imported = (statistics.median(part) for part in zip(*found, strict=True))
-    print(f"\n`snakejax sweep` of 1024 values of D with k_s of each, second run: {whole:.1f} s, of which imports")
+    print(f"\n`snakejax sweep` of 1024 values of D with k_s of each, second run: {whole:.1f} s, of which its imports")
     print(f"{imported:.1f} s: {whole - imported:.1f} s beyond them (the command itself says {said['total']:.1f} s)")
 
 
