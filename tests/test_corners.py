@@ -46,14 +46,12 @@ STILL = Gait(Sines.of([[0.0, 1.0, 0.0]]), Sines.of([[0.0, 1.0, 0.0]]))
 RIGHT = {
     "stiff coupled": (Model(ROTATE.model.board, Rayleigh(1e5), "coupled"), ROTATE.gait, 2.0),
     "stiff free": (Model(ROTATE.model.board, Rayleigh(1e4), "free"), ROTATE.gait, 2.0),
-    "creep coupled": (with_parameters(ROTATE.model, {"board.creep_speed": 1e-6}), ROTATE.gait, 4.0),
     "creep free": (
         with_parameters(Model(ROTATE.model.board, ROTATE.model.tyre, "free"), {"board.creep_speed": 1e-6}),
         ROTATE.gait,
         4.0,
     ),
     "86 degrees coupled": (FORWARD.model, steered(1.5), 4.0),
-    "86 degrees ideal": (Model(FORWARD.model.board, FORWARD.model.tyre, "ideal"), steered(1.5), 4.0),
     "92 degrees free": (Model(FORWARD.model.board, FORWARD.model.tyre, "free"), steered(1.6), 4.0),
     "reversal": (FORWARD.model, REVERSED, 6.0),
     "rest": (FORWARD.model, STILL, 4.0),
