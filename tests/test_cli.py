@@ -484,6 +484,15 @@ def test_the_sweep_of_a_board_that_none_follows_says_where_it_ends(say):
     assert "k_s" not in found and np.isfinite(found["end"]["heading_rad"]).all()
 
 
+def test_the_inertia_of_a_recorded_board_follows_the_mass_that_is_swept(say):
+    said = say("sweep", LEVEL, "--model", "ideal", "--vary", "mass=5:9:2", "--json", "-", "--quiet")
+    assert said.status == 0 and said.err == ""
+    case = snakejax.load_case(LEVEL)
+    model, run = snakejax.starting_model(case, "ideal"), case.runs[0]
+    alone = snakejax.sweep(model, run.gait, run.times[-1:], {"board.mass": [5.0, 9.0]})
+    np.testing.assert_array_equal(json.loads(said.out)["end"]["heading_rad"], alone.heading.values[:, 0])
+
+
 @pytest.mark.parametrize(
     ("arguments", "what"),
     [

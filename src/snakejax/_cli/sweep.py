@@ -2,12 +2,12 @@
 
 import argparse
 import csv
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .._errors import InputError, at_line, instead_of
-from ._options import add_cases, add_command, add_loading, add_model, finite, given, start_pose, varied
+from ._options import Varied, add_cases, add_command, add_loading, add_model, finite, given, start_pose, varied
 from ._setup import Clock, Outcome, Say, each_case
 from .fit import fitted
 
@@ -62,7 +62,7 @@ def run(options: argparse.Namespace) -> int:
     wanted = [varied(text) for text in options.vary or ()]
     if len({one.name for one in wanted}) < len(wanted):
         raise InputError("A parameter is varied twice", "option --vary", "give each once")
-    return each_case(options, lambda case, say: work(options, case, asked, say), presets=True)
+    return each_case(options, lambda case, say: work(options, case, wanted, asked, say), presets=True)
 
 
 def columns_of(path: Path) -> dict[str, list[float]]:
@@ -87,8 +87,14 @@ def columns_of(path: Path) -> dict[str, list[float]]:
     }
 
 
-def work(options: argparse.Namespace, subject: Any, asked: Mapping[str, list[float]] | None, say: Say) -> Outcome:
-    """Sweep one case or preset."""
+def work(
+    options: argparse.Namespace,
+    subject: Any,
+    wanted: Sequence[Varied],
+    asked: Mapping[str, list[float]] | None,
+    say: Say,
+) -> Outcome:
+    """Sweep one case or preset over the combinations `wanted`, or the columns `asked` of a table."""
     import equinox as eqx
     import numpy as np
 
@@ -108,10 +114,11 @@ def work(options: argparse.Namespace, subject: Any, asked: Mapping[str, list[flo
     executor = cluster(options.cluster) if options.cluster else local
     run_ = None if preset else _run(options, subject)
     gait, times = (subject.gait, subject.times) if run_ is None else (run_.gait, run_.times)
-    lines = {one.name: np.linspace(one.low, one.high, one.count) for one in map(varied, options.vary or ())}
+    lines = {one.name: np.linspace(one.low, one.high, one.count) for one in wanted}
     axes = table(asked) if asked else grid(lines)
     model, axes = _prepared(options, subject, axes, say)
-    if run_ is not None:
+    if run_ is not None and np.any(run_.payload):
+        # It fixes the yaw inertia, which otherwise follows mass and length as they are varied.
         model = eqx.tree_at(lambda m: m.board, model, model.board.loaded(*run_.payload))
     what = f"sweeping {' and '.join(axes.coordinates)}"
     how = {
