@@ -110,12 +110,12 @@ def test_eight_devices_share_the_lanes_and_find_the_same(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("times", "start", "accuracy", "why"),
     [
-        ([2.0, 1.0], None, SHARP, "increase"),
-        ([], None, SHARP, "finite"),
-        ([np.nan], None, SHARP, "finite"),
-        ([-1.0, 1.0], None, SHARP, "from 0 on"),
+        ([2.0, 1.0], np.zeros(3), SHARP, "increase"),
+        ([], np.zeros(3), SHARP, "finite"),
+        ([np.nan], np.zeros(3), SHARP, "finite"),
+        ([-1.0, 1.0], np.zeros(3), SHARP, "from 0 on"),
         ([1.0], np.zeros((2, 3)), SHARP, "shape"),
-        ([1.0], None, Accuracy(step=0.01), "fixed step"),
+        ([1.0], np.zeros(3), Accuracy(step=0.01), "fixed step"),
     ],
 )
 def test_what_lanes_cannot_do_is_refused(times, start, accuracy, why) -> None:

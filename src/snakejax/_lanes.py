@@ -175,7 +175,7 @@ def simulate_many(
     models: Model,
     gait: Gait,
     times: Float[Array, " n"],
-    start: Float[Array, "V 3"] | None = None,
+    start: Sequence[float] | Float[Array, "V 3"] = (0.0, 0.0, 0.0),
     *,
     own_gaits: bool = False,
     accuracy: Accuracy = ACCURACY,
@@ -188,7 +188,8 @@ def simulate_many(
     on devices by rounding alone. The poses of a board that needs more than `accuracy.max_steps` steps are infinite.
 
     **Arguments:** `models`: one whose arrays have a leading axis V (`stacked`). `gait`: one for all, or with
-    `own_gaits` stacked like `models`. `times` [s] (n,), increasing. `start` (V, 3), default the origin.
+    `own_gaits` stacked like `models`. `times` [s] (n,), increasing. `start`: the pose (3,)
+    where all start, or (V, 3).
     **Raises:** `RuntimeError` without double precision; `ValueError` for times that do not increase from 0 on.
     """
     require_x64()
@@ -197,11 +198,11 @@ def simulate_many(
         raise ValueError("Argument `times` must be a row of finite numbers from 0 on.")
     if (np.diff(frames) <= 0).any():
         raise ValueError("Argument `times` must increase.")
-    if start is not None and np.shape(start) != (count, 3):
-        raise ValueError(f"Argument `start` must have the shape {(count, 3)}, but it has {np.shape(start)}.")
+    if np.shape(start) not in ((3,), (count, 3)):
+        raise ValueError(f"Argument `start` must have the shape (3,) or {(count, 3)}, but it has {np.shape(start)}.")
     if accuracy.step is not None:
         raise ValueError("Lanes choose their own steps: leave out the fixed step of `accuracy`.")
-    places = np.zeros((count, 3)) if start is None else np.asarray(start, np.float64)
+    places = np.broadcast_to(np.asarray(start, np.float64), (count, 3))
     lanes = jax.tree.map(np.asarray, (models, gait if own_gaits else None, places))
     rest = (jax.tree.map(np.asarray, None if own_gaits else gait), frames)
     devices = jax.local_device_count()

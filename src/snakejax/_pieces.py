@@ -87,8 +87,7 @@ def in_pieces(
     With a `folder` each piece is kept there as soon as it is done, and a call that finds pieces there does the rest
     alone; the folder must belong to this work and these lanes. `progress` is told how many lanes are done, of how many.
     """
-    count = len(next(iter(columns.values())))
-    size = piece_size()
+    count, size = length(columns), piece_size()
     missing = {
         k: {name: np.asarray(column)[first : first + size] for name, column in columns.items()}
         for k, first in enumerate(range(0, count, size))
@@ -96,15 +95,15 @@ def in_pieces(
     found: dict[int, Columns] = {}
     if folder is not None:
         _writable(folder)
-        found = {k: kept for k, piece in missing.items() if (kept := _kept(_file(folder, k), _length(piece)))}
+        found = {k: kept for k, piece in missing.items() if (kept := _kept(_file(folder, k), length(piece)))}
         missing = {k: piece for k, piece in missing.items() if k not in found}
-    done = sum(map(_length, found.values()))
+    done = sum(map(length, found.values()))
     progress(done, count)
     for k, result in executor(work, missing) if missing else ():
         found[k] = result
         if folder is not None:
             _keep(_file(folder, k), result)
-        done += _length(result)
+        done += length(result)
         progress(done, count)
     return {name: np.concatenate([found[k][name] for k in sorted(found)]) for name in found[0]}
 
@@ -113,7 +112,8 @@ def _file(folder: Path, number: int) -> Path:
     return folder / f"piece-{number:06d}.npz"
 
 
-def _length(columns: Columns) -> int:
+def length(columns: Columns) -> int:
+    """How many lanes there are."""
     return len(next(iter(columns.values())))
 
 
@@ -125,12 +125,12 @@ def _writable(folder: Path) -> None:
         raise InputError(what, str(folder), "name a folder you may write to") from None
 
 
-def _kept(path: Path, length: int) -> dict[str, np.ndarray] | None:
-    """What was kept of a piece of `length` lanes in `path`, or None where there is nothing whole."""
+def _kept(path: Path, count: int) -> dict[str, np.ndarray] | None:
+    """What was kept of a piece of `count` lanes in `path`, or None where there is nothing whole."""
     try:
         with np.load(path) as file:
             found = {name: file[name] for name in file.files}
-        return found if all(len(column) == length for column in found.values()) else None
+        return found if all(len(column) == count for column in found.values()) else None
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None
 

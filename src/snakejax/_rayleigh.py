@@ -1,9 +1,7 @@
 """The Rayleigh board that comes nearest to each board of a sweep, and its coefficient as a polynomial."""
 
-import functools
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Unpack
 
 import jax
 import jax.numpy as jnp
@@ -15,9 +13,9 @@ from ._effect import Floor, Grip, Memory
 from ._gait import Gait
 from ._lanes import ACCURACY, simulate_many
 from ._model import Model
-from ._pieces import Columns, Executor, local
+from ._pieces import Columns
 from ._skid import Ideal
-from ._sweep import Axes, Progress, boards, coordinates, grid, portable, require_possible, run, silent
+from ._sweep import Axes, How, boards, coordinates, found_of, possible
 from ._tyre import Rayleigh
 from ._units import parameters
 
@@ -49,11 +47,7 @@ def nearest_rayleigh(
     gait: Gait,
     times: Float[Array, " n"],
     over: Axes | Mapping[str, Sequence[float]],
-    *,
-    start: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    folder: Path | str | None = None,
-    executor: Executor = local,
-    progress: Progress = silent,
+    **how: Unpack[How],
 ) -> "xarray.Dataset":
     """For each board of a sweep the Rayleigh board nearest to it: least rms distance of (x, y) over `times`.
 
@@ -72,21 +66,19 @@ def nearest_rayleigh(
 
     if isinstance(model.tyre, Rayleigh) or isinstance(model.skid, Ideal):
         raise ValueError("A Rayleigh or ideal board needs no other to come near it: vary those of a Pacejka board.")
-    axes = over if isinstance(over, Axes) else grid(over)
-    require_possible(model, axes)
-    work = functools.partial(_nearest, *portable((model, gait, np.asarray(times, np.float64), start)))
-    found = {name: axes.laid_out(column) for name, column in run(work, axes, folder, executor, progress).items()}
+    axes = possible(model, over)
+    columns = found_of(_nearest, model, gait, times, axes, how)
+    found = {name: axes.laid_out(column) for name, column in columns.items()}
     units = {"k_s": "N s/m", "best": "N s/m", "mismatch": "1", "path": "m", "x": "m", "y": "m", "heading": "rad"}
     data = {name: (axes.dims, found[name], {"units": unit}) for name, unit in units.items()}
     return xarray.Dataset(data, coordinates(model, axes))
 
 
-def _nearest(model: Model, gait: Gait, times: np.ndarray, start: tuple[float, ...], columns: Columns) -> Columns:
-    def simulated(models: Model, count: int) -> np.ndarray:
-        starts = np.broadcast_to(np.asarray(start, np.float64), (count, 3))
-        return simulate_many(models, gait, times, starts, accuracy=ACCURACY, workers=1)
+def _nearest(model: Model, gait: Gait, times: np.ndarray, start: Sequence[float], columns: Columns) -> Columns:
+    def simulated(models: Model) -> np.ndarray:
+        return simulate_many(models, gait, times, start, accuracy=ACCURACY, workers=1)
 
-    pose = simulated(boards(model, columns), len(next(iter(columns.values()))))
+    pose = simulated(boards(model, columns))
     paths = pose[..., :2]
     finished = np.isfinite(pose).all(axis=(1, 2))
     with np.errstate(invalid="ignore"):
@@ -98,7 +90,7 @@ def _nearest(model: Model, gait: Gait, times: np.ndarray, start: tuple[float, ..
         """Paths of the Rayleigh twins of `lanes` with k_s from `FINE`."""
         moved = {name: column[list(lanes)] for name, column in felt.items()}
         twins = boards(twin, {"tyre.k_s": FINE[list(numbers)], **moved})
-        return simulated(twins, len(lanes))[..., :2]
+        return simulated(twins)[..., :2]
 
     # Where only the tyre is varied, one row of Rayleigh boards serves all.
     everyone = np.arange(len(paths))

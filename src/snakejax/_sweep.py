@@ -3,7 +3,7 @@
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict, Unpack
 
 import equinox as eqx
 import jax
@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from ._gait import Gait
 from ._lanes import ACCURACY, simulate_many
 from ._model import Model
-from ._pieces import Columns, Executor, fingerprint, in_pieces, local
+from ._pieces import Columns, Executor, fingerprint, in_pieces, length, local
 from ._tyre import Bakker
 from ._units import parameters, with_parameters
 
@@ -86,9 +86,16 @@ def require_possible(model: Model, axes: Axes) -> None:
                     raise ValueError(f"A tyre would have {name} = {float(value):.3g}, which {why}: {where}.")
 
 
+def possible(model: Model, over: Axes | Mapping[str, Sequence[float]]) -> Axes:
+    """The axes of `over`, which `model` can have. **Raises:** as `require_possible`."""
+    axes = over if isinstance(over, Axes) else grid(over)
+    require_possible(model, axes)
+    return axes
+
+
 def boards(model: Model, columns: Columns) -> Model:
     """`model` with the parameters in `columns` (V,), as one model whose arrays have a leading axis V."""
-    count = len(next(iter(columns.values())))
+    count = length(columns)
     many = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (count, *np.shape(leaf))), model)
     many = with_parameters(many, {name: jnp.asarray(column) for name, column in columns.items()})
     if isinstance(many.tyre, Bakker):
@@ -98,10 +105,23 @@ def boards(model: Model, columns: Columns) -> Model:
     return many
 
 
-def _poses(model: Model, gait: Gait, times: np.ndarray, start: tuple[float, ...], columns: Columns) -> Columns:
-    count = len(next(iter(columns.values())))
-    starts = np.broadcast_to(np.asarray(start, np.float64), (count, 3))
-    return {"pose": simulate_many(boards(model, columns), gait, times, starts, accuracy=ACCURACY, workers=1)}
+def _poses(model: Model, gait: Gait, times: np.ndarray, start: Sequence[float], columns: Columns) -> Columns:
+    return {"pose": simulate_many(boards(model, columns), gait, times, start, accuracy=ACCURACY, workers=1)}
+
+
+class How(TypedDict, total=False):
+    """How a sweep is done.
+
+    `start`: the pose (x [m], y [m], heading [rad]) where every board is at rest at time 0 (default the origin).
+    `folder`: where results are kept piece by piece: killed half-way, the same call goes on from there, and what it
+    finds is the same to the last bit. `executor`: who computes, the cores of this machine (default) or a
+    `cluster(...)`. `progress` is told how many boards are done, of how many.
+    """
+
+    start: tuple[float, float, float]
+    folder: Path | str | None
+    executor: Executor
+    progress: Progress
 
 
 def sweep(
@@ -109,19 +129,12 @@ def sweep(
     gait: Gait,
     times: Float[Array, " n"],
     over: Axes | Mapping[str, Sequence[float]],
-    *,
-    start: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    folder: Path | str | None = None,
-    executor: Executor = local,
-    progress: Progress = silent,
+    **how: Unpack[How],
 ) -> "xarray.Dataset":
     """What `model` does under `gait`, with any of its parameters varied.
 
-    **Arguments:** `times` [s] (n,), increasing; the boards start at rest at time 0 at `start`. `over`: values of
-    parameters by dotted name (`tyre.D`, `effects.ground_slope.sx`), every combination of them; or `table(...)`.
-    `folder`: where results are kept piece by piece: killed half-way, the same call goes on from there, and what it
-    finds is the same to the last bit. `executor`: who computes, the cores of this machine or a `cluster(...)`.
-    `progress` is told how many boards are done, of how many.
+    **Arguments:** `times` [s] (n,), increasing. `over`: values of parameters by dotted name (`tyre.D`,
+    `effects.ground_slope.sx`), every combination of them; or `table(...)`. `how`, see `How`.
 
     **Returns:** `x`, `y` [m] and `heading` [rad] along the axes and `time`; infinite for a board whose simulation
     needs too many steps.
@@ -130,14 +143,13 @@ def sweep(
     """
     import xarray
 
-    axes = over if isinstance(over, Axes) else grid(over)
-    require_possible(model, axes)
-    frames = np.asarray(times, np.float64)
-    work = functools.partial(_poses, *portable((model, gait, frames, start)))
-    pose = axes.laid_out(run(work, axes, folder, executor, progress)["pose"])
+    axes = possible(model, over)
+    pose = axes.laid_out(found_of(_poses, model, gait, times, axes, how)["pose"])
     channels = (("x", "m"), ("y", "m"), ("heading", "rad"))
     data = {name: ((*axes.dims, "time"), pose[..., k], {"units": unit}) for k, (name, unit) in enumerate(channels)}
-    return xarray.Dataset(data, {**coordinates(model, axes), "time": ("time", frames, {"units": "s"})})
+    return xarray.Dataset(
+        data, {**coordinates(model, axes), "time": ("time", np.asarray(times, np.float64), {"units": "s"})}
+    )
 
 
 def coordinates(model: Model, axes: Axes) -> dict[str, Any]:
@@ -147,16 +159,15 @@ def coordinates(model: Model, axes: Axes) -> dict[str, Any]:
     return {name: (dim, line, {"units": known[column].domain.unit}) for (name, (dim, line)), column in named}
 
 
-def portable(tree: Any) -> Any:
-    """`tree` with NumPy arrays, which can be sent to a process where JAX has not yet started."""
-    return jax.tree.map(np.asarray, tree)
-
-
-def run(
-    work: functools.partial, axes: Axes, folder: Path | str | None, executor: Executor, progress: Progress
+def found_of(
+    work: Callable[..., Columns], model: Model, gait: Gait, times: Float[Array, " n"], axes: Axes, how: How
 ) -> dict[str, np.ndarray]:
-    """`work` on every board of `axes`; under `folder` each sweep has a folder of its own."""
-    place = None
+    """`work(model, gait, times, start, columns)` on every board of `axes`; each sweep keeps to a folder of its own."""
+    # NumPy arrays can be sent to a process where JAX has not yet started.
+    given = (model, gait, np.asarray(times, np.float64), how.get("start", (0.0, 0.0, 0.0)))
+    given = jax.tree.map(np.asarray, given)
+    place, folder = None, how.get("folder")
     if folder is not None:
-        place = Path(folder) / fingerprint(work.func.__qualname__, work.args, axes.columns)[:16]
-    return in_pieces(work, axes.columns, folder=place, executor=executor, progress=progress)
+        place = Path(folder) / fingerprint(work.__qualname__, given, axes.columns)[:16]
+    rest = {"executor": how.get("executor", local), "progress": how.get("progress", silent)}
+    return in_pieces(functools.partial(work, *given), axes.columns, folder=place, **rest)

@@ -200,7 +200,7 @@ def sweep(found: "xarray.Dataset", curve: Polynomial | None = None, title: str =
     above.plot(values, found.k_s, "o", color=MEASURED, ms=4, label="nearest Rayleigh board")
     if curve is not None:
         x = np.linspace(curve.fitted_range[0], curve.fitted_range[1], 200)
-        above.plot(x, curve(x), color=MODELLED, lw=1.2, label="order 4" + r_squared(curve))
+        above.plot(x, curve(x), color=MODELLED, lw=1.2, label="order 4" + _r_squared(curve))
     above.set(ylabel="$k_s$ [N s/m]", title=title)
     above.legend(fontsize="small")
     below.plot(values, 100 * found.mismatch, ".-", color=TRAIN)
@@ -209,7 +209,7 @@ def sweep(found: "xarray.Dataset", curve: Polynomial | None = None, title: str =
     return figure
 
 
-def r_squared(curve: Polynomial) -> str:
+def _r_squared(curve: Polynomial) -> str:
     """R^2 as a label says it; nothing where k_s does not change."""
     return "" if curve.r_squared is None else f", $R^2$ = {curve.r_squared:.5f}"
 
