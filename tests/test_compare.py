@@ -7,10 +7,8 @@ from scipy import stats
 
 from snakejax._case import load_case
 from snakejax._compare import (
-    Track,
     compare,
     explained,
-    gait_phase,
     portmanteau,
     rate,
     side_by_side,
@@ -19,6 +17,7 @@ from snakejax._compare import (
     worst,
 )
 from snakejax._fit import fit, starting_model
+from snakejax._scenes import Track, gait_phase
 
 TIMES = np.arange(0.0, 12.0, 0.01)
 SD = np.array([0.0004, 0.0004, 0.0025])

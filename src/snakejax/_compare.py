@@ -7,18 +7,14 @@ where the model lacks nothing.
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
-import equinox as eqx
-import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy import optimize, stats
+from scipy import stats
 
 from ._check import noise_of
-from ._effect import Motion
 from ._fit import Fit, FitError, Score, fit, starting_model
 from ._recording import Case, Noise
-from ._simulate import motions, simulate
-from ._study import Optimum, Study
+from ._scenes import Track, scenes_of
 
 CHANNELS = ("x", "y", "heading")
 RATES = ("forward_rate", "sideways_rate", "heading_rate")
@@ -30,20 +26,6 @@ SPAN = 0.25
 """The rate of a residual is taken over this time [s]: short against a gait, long against a frame."""
 CIRCULAR = ("gait_phase", "heading")
 """Variables that are angles: what depends on them has no beginning and no end."""
-
-
-class Track(NamedTuple):
-    """The residual of one run: `residual` (n, 3) in standard deviations `sd` [m, m, rad], NaN where nothing was seen.
-
-    `variables`, each (n,): what the fitted model does meanwhile.
-    """
-
-    run: str
-    role: str
-    times: Float[np.ndarray, " n"]
-    residual: Float[np.ndarray, "n 3"]
-    sd: Float[np.ndarray, "3"]
-    variables: dict[str, Float[np.ndarray, " n"]]
 
 
 class Stretch(NamedTuple):
@@ -121,7 +103,7 @@ class Side(NamedTuple):
 
 def compare(found: Fit, *, length: float = 1.0, count: int = 8) -> Comparison:
     """Where `found` fails: over stretches of `length` [s], and the `count` worst moments."""
-    seen = tracks(found)
+    seen = [scene.track for scene in scenes_of(found)]
     return Comparison(
         tuple(stretch for track in seen for stretch in stretches(track, length)),
         worst(seen, count, length),
@@ -148,79 +130,6 @@ def side_by_side(
         return Side(kind, found.train_score, found.heldout_score)
 
     return tuple(side(kind) for kind in kinds)
-
-
-# --- Residuals and what the model does meanwhile ---------------------------------------------------------------------
-
-
-def tracks(found: Fit) -> tuple[Track, ...]:
-    """The residual of each run of `found`, train runs first, and the variables it may depend on."""
-    judged = [("train", found.optimum), ("heldout", found.heldout_optimum)]
-    return tuple(
-        _track(found.study, optimum, k)
-        for role, optimum in judged
-        if optimum is not None
-        for k in found.study.numbered(role)
-    )
-
-
-def _track(study: Study, optimum: Optimum, k: int) -> Track:
-    run, n = study.runs[k], study.runs[k].times.shape[0]
-    weight = np.asarray(study.batch.weight)[k, :n]
-    residual = np.where(weight > 0, np.asarray(optimum.linearised.residual)[k, :n], np.nan)
-    batch = jax.tree.map(lambda leaf: leaf[k], study.batch)
-    motion = _motion(study.fitted(optimum), batch, optimum.start[k], study.accuracy)
-    motion = jax.tree.map(lambda leaf: np.asarray(leaf)[:n], motion)
-    return Track(run.name, run.role, np.asarray(run.times), residual, np.asarray(study.noise.channels), _named(motion))
-
-
-@eqx.filter_jit
-def _motion(model, batch, start, accuracy) -> Motion:
-    model = eqx.tree_at(lambda m: m.board, model, replace_fn=lambda board: board.loaded(*batch.payload))
-    return motions(model, batch.gait, simulate(model, batch.gait, batch.times, start, accuracy=accuracy))[0]
-
-
-def _named(motion: Motion) -> dict[str, np.ndarray]:
-    """The variables by name; SI units and radians."""
-    ends = ("front", "back") if len(motion.wheels) == 2 else range(len(motion.wheels))
-    return {
-        "gait_phase": gait_phase(motion.time, motion.steering.angle, motion.rotor.angle),
-        **{f"slip_{end}": wheel.lateral for end, wheel in zip(ends, motion.wheels, strict=True)},
-        "speed": np.hypot(motion.u, motion.w),
-        "x": motion.x,
-        "y": motion.y,
-        "heading": motion.heading,
-        "steering_angle": motion.steering.angle,
-        "steering_rate": motion.steering.rate,
-        "rotor_angle": motion.rotor.angle,
-        "rotor_rate": motion.rotor.rate,
-        "time": motion.time,
-    }  # type: ignore[return-value]
-
-
-def gait_phase(times: np.ndarray, *joints: np.ndarray) -> np.ndarray:
-    """w t modulo 2 pi [rad], w the frequency at which the first of `joints` that moves swings most; 0 where none."""
-    for angle in joints:
-        if np.ptp(angle) > 1e-9:
-            return np.mod(_fundamental(times, angle) * times, 2 * np.pi)
-    return np.zeros_like(times)
-
-
-def _fundamental(times: np.ndarray, angle: np.ndarray) -> float:
-    """The angular frequency [rad/s] of the sine that fits `angle` best, from the peak of its periodogram."""
-    size = 8 * times.size
-    step = (times[-1] - times[0]) / (times.size - 1)
-    power = np.abs(np.fft.rfft(angle - angle.mean(), size))
-    bin_ = 2 * np.pi / (size * step)
-    peak = bin_ * max(int(np.argmax(power[1:])) + 1, 1)
-
-    def left(frequency: float) -> float:
-        turn = frequency * times
-        sines = np.stack([np.cos(turn), np.sin(turn), np.ones_like(turn)], axis=1)
-        return float(np.sum((angle - sines @ np.linalg.lstsq(sines, angle)[0]) ** 2))
-
-    found = optimize.minimize_scalar(left, bounds=(peak - 4 * bin_, peak + 4 * bin_), method="bounded")
-    return float(found.x)  # type: ignore[attr-defined]
 
 
 # --- Where and when --------------------------------------------------------------------------------------------------
