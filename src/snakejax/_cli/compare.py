@@ -42,8 +42,9 @@ def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     from rich.console import Group
 
     from .._compare import compare, side_by_side
-    from .._json import clean, comparison_json, fit_json, provenance_json
+    from .._json import clean, comparison_json, fit_json, provenance_json, write_whole
     from .._text import compare_report, fit_report
+    from ..report import fit_page
 
     clock = Clock()
     found, noise = fitted(options, case, say)
@@ -60,6 +61,7 @@ def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
 
     def write(folder: Path) -> None:
         say("drawing")
+        write_whole(folder / "compare.html", fit_page(case, noise, found, result))
         draw(found, folder)
 
     return Outcome(result, Group(fit_report(case, noise, found), compare_report(failing, sides)), write)

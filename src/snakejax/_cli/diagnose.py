@@ -1,6 +1,7 @@
 """`snakejax diagnose`: which effect is missing, ranked, nothing added."""
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 from ._options import add_cases, add_command, given
@@ -32,11 +33,18 @@ def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     """Diagnose one case."""
     from .._check import noise_of
     from .._explain import diagnose
-    from .._json import provenance_json
+    from .._json import provenance_json, write_whole
     from .._story import diagnosis_json, diagnosis_text
+    from ..report import diagnosis_page
 
     clock = Clock()
     noise = noise_of(case)
     base = diagnose(case, noise, library(options), **wanted(options), progress=say).base
     provenance = provenance_json(options.seed, given(options), case.sha256)
-    return Outcome(diagnosis_json(case, noise, base, provenance, clock.seconds()), diagnosis_text(case, base))
+    result = diagnosis_json(case, noise, base, provenance, clock.seconds())
+
+    def write(folder: Path) -> None:
+        say("drawing")
+        write_whole(folder / "diagnose.html", diagnosis_page(case, noise, base, result))
+
+    return Outcome(result, diagnosis_text(case, base), write)

@@ -77,14 +77,18 @@ def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     from .._json import provenance_json, write_whole
     from .._starter import starter
     from .._story import explanation_json, explanation_text
+    from ..report import explanation_page
 
     clock = Clock()
     noise = noise_of(case)
     found = explain(case, noise, library(options), **wanted(options), progress=say)
     provenance = provenance_json(options.seed, given(options), case.sha256)
 
+    result = explanation_json(found, provenance, clock.seconds())
+
     def write(folder: Path) -> None:
         say("drawing")
+        write_whole(folder / "explain.html", explanation_page(found, result))
         plot.save(plot.fall(found), folder, "fall")
         if found.missing is None:
             return
@@ -92,4 +96,4 @@ def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
         if found.missing.shape is not None:
             write_whole(folder / "missing_force.py", starter(found.missing))
 
-    return Outcome(explanation_json(found, provenance, clock.seconds()), explanation_text(found), write)
+    return Outcome(result, explanation_text(found), write)

@@ -40,8 +40,9 @@ def run(options: argparse.Namespace) -> int:
 def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     """Fit one case."""
     from .._fit import profile
-    from .._json import fit_json, provenance_json
+    from .._json import fit_json, provenance_json, write_whole
     from .._text import fit_report
+    from ..report import fit_page
 
     clock = Clock()
     found, noise = fitted(options, case, say)
@@ -54,6 +55,7 @@ def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
 
     def write(folder: Path) -> None:
         say("drawing")
+        write_whole(folder / "fit.html", fit_page(case, noise, found, result))
         draw(found, folder)
 
     return Outcome(result, fit_report(case, noise, found, intervals), write)

@@ -1,0 +1,213 @@
+"""The charts of a page, each from the models it shows or from the JSON beside it."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from .._compare import stretches
+from .._json import Json
+from .._missing import Missing
+from .._palette import BASE, HELDOUT, MEASURED, TRAIN, Look, look
+from ._chart import EQUAL, Chart, Trace, axes, band, bars, line, plain, points, text, thinned
+from ._played import Played
+
+PHASE_BINS = 24
+SLIP_BINS = 20
+FEWEST = 5
+
+
+def held(name: str, role: str) -> str:
+    """A run as it is called where its role matters."""
+    return f"{name} (held out)" if role == "heldout" else name
+
+
+def paths(models: Sequence[Played]) -> list[Chart]:
+    """A chart a run: the measured path and that of each model, x against y."""
+    charts = []
+    for k, scene in enumerate(models[0].scenes):
+        thin = thinned(scene.times.size)
+        seen = scene.seen[thin]
+        wide = {"width": 5, "opacity": 0.55}
+        traces = [line(seen[:, 0], seen[:, 1], "measured", MEASURED, hovertext=_at(scene, thin), **wide)]
+        for model in models:
+            pose, at = model.scenes[k].pose[thin], _at(scene, thin)
+            traces.append(line(pose[:, 0], pose[:, 1], model.label, model.look, stage=model.key, hovertext=at))
+        start = points(scene.pose[:1, 0], scene.pose[:1, 1], "start", MEASURED, symbol="x")
+        label = f"The path of {scene.run}, measured and modelled."
+        layout = axes("x [m]", "y [m]", **EQUAL)
+        charts.append(Chart(f"path-{k}", label, (*traces, start), layout, 320, scene.run))
+    return charts
+
+
+def _at(scene, thin: slice) -> list[str]:
+    return [f"{t:.2f} s" for t in scene.times[thin]]
+
+
+def falling(result: Json) -> Chart:
+    """The misfit at each step, of train and of held-out runs; 1 is noise."""
+    steps = [("base", result["base"])]
+    steps += [(next(f"{k} {s[k]}" for k in ("added", "dropped") if k in s), s) for s in result.get("steps", ())]
+    names = [f"{number}. {name}" if number else name for number, (name, _) in enumerate(steps)]
+    traces: list[Trace] = []
+    for role, title, colour, pattern in (
+        ("train", "train runs", TRAIN, ""),
+        ("heldout", "held-out runs", HELDOUT, "/"),
+    ):
+        values = [step["misfit"][role] for _, step in steps]
+        if any(value is not None for value in values):
+            shown = ["" if v is None else f"{v:.3g}" for v in values]
+            trace = bars(names, values, title, colour, text=shown, textposition="outside", cliponaxis=False)
+            trace["marker"]["pattern"] = {"shape": pattern}
+            traces.append(trace)
+    floor = {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": 1, "y1": 1, "line": {"dash": "dot", "width": 2}}
+    note = {"xref": "paper", "x": 1, "y": 0, "yref": "y", "text": "noise", "showarrow": False, "yanchor": "bottom"}
+    layout = axes(
+        "", "mean squared residual / noise", yaxis={"type": "log"}, barmode="group", shapes=[floor], annotations=[note]
+    )
+    return Chart("falling", "The misfit after each step, train and held-out runs.", tuple(traces), layout, 360)
+
+
+def failing(model: Played) -> Chart:
+    """Where one model fails: runs against time, the misfit over a second as a colour."""
+    rows, names, length = [], [], 0
+    for scene in model.scenes:
+        cells: dict[float, list[float]] = {}
+        for stretch in stretches(scene.track):
+            cells.setdefault(round((stretch.begin + stretch.end) / 2, 3), []).append(stretch.misfit)
+        rows.append({middle: float(np.mean(values)) for middle, values in cells.items()})
+        names.append(held(scene.run, scene.role))
+        length = max(length, len(rows[-1]))
+    middles = sorted({middle for row in rows for middle in row})
+    misfit = [[row.get(middle) for middle in middles] for row in rows]
+    z = [[None if v is None else plain([np.log10(max(v, 1e-3))])[0] for v in row] for row in misfit]
+    trace: Trace = {
+        "type": "heatmap",
+        "x": middles,
+        "y": [text(name) for name in names],
+        "z": z,
+        "text": [["" if v is None else f"{v:.3g}" for v in row] for row in misfit],
+        "hovertemplate": "%{y}<br>%{x:.1f} s: misfit %{text}<extra></extra>",
+        "colorscale": "Cividis",
+        "zmin": 0,
+        "zmax": max(1.0, max((v for row in z for v in row if v is not None), default=1.0)),
+        "colorbar": {"title": {"text": "log10 misfit"}, "thickness": 12},
+        "meta": {"stage": model.key},
+    }
+    layout = axes("time [s]", "", yaxis={"autorange": "reversed", "automargin": True})
+    label = f"Where the {model.label} fails: the misfit of each run over time."
+    return Chart(f"failing-{model.key}", label, (trace,), layout, 110 + 26 * len(names), None, model.key)
+
+
+def against(models: Sequence[Played], variable: str, title: str, circular: bool = False) -> Chart:
+    """The misfit of each model against a variable of its motion, over bins of equal counts or of an angle."""
+    traces = []
+    for model in models:
+        values, square = _squares(model, variable)
+        edges = (
+            np.linspace(0.0, 2 * np.pi, PHASE_BINS + 1)
+            if circular
+            else np.unique(np.quantile(values, np.linspace(0.0, 1.0, SLIP_BINS + 1)))
+        )
+        bins = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, max(edges.size - 2, 0))
+        count = np.bincount(bins, minlength=edges.size - 1)
+        mean = np.bincount(bins, square, edges.size - 1) / np.maximum(count, 1)
+        middle = np.bincount(bins, values, edges.size - 1) / np.maximum(count, 1)
+        kept = count >= FEWEST
+        traces.append(line(middle[kept], mean[kept], model.label, model.look, stage=model.key))
+        traces[-1]["mode"] = "lines+markers"
+    label = f"The misfit against {title}."
+    return Chart(f"against-{variable}", label, tuple(traces), axes(title, "misfit", yaxis={"type": "log"}), 280)
+
+
+def _squares(model: Played, variable: str) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """The variable and the mean squared residual of all three channels at every sample seen."""
+    values, squares = [], []
+    for scene in model.scenes:
+        square = np.mean(scene.track.residual**2, axis=1)
+        of = np.abs(scene.slip).max(axis=1) if variable == "slip" else scene.track.variables[variable]
+        fine = np.isfinite(square)
+        values.append(of[fine])
+        squares.append(square[fine])
+    return np.concatenate(values), np.concatenate(squares)
+
+
+def suspects(ranking: Sequence[Json]) -> Chart:
+    """What each candidate would leave: predicted, and as refitted where it was."""
+    shown = [r for r in ranking if r["predicted_misfit"] is not None or r["refit_misfit"] is not None][::-1]
+    names = [text(r["effect"]) for r in shown]
+    looks = [look(r["effect"]).colour for r in shown]
+    traces = []
+    for key, title, symbol in (
+        ("predicted_misfit", "predicted", "circle-open"),
+        ("refit_misfit", "refitted", "circle"),
+    ):
+        trace: Trace = points([], [], title, BASE, symbol=symbol)
+        trace |= {
+            "x": [r[key] for r in shown],
+            "y": names,
+            "hovertemplate": "%{y}: %{x:.4g}<extra>" + title + "</extra>",
+        }
+        trace["marker"] |= {"color": looks, "size": 10, "line": {"width": 2, "color": looks}}
+        traces.append(trace)
+    layout = axes("misfit it would leave", "", xaxis={"type": "log"}, yaxis={"automargin": True})
+    return Chart("suspects", "What misfit each candidate would leave.", tuple(traces), layout, 90 + 20 * len(shown))
+
+
+def tyre(models: Sequence[Played]) -> Chart:
+    """The traction of each model against slip with its band, and what the recordings ask of the tyre."""
+    traces = []
+    viscous = models[0].traction.viscous
+    factor, unit = (1.0, "slip speed [m/s]") if viscous else (180 / np.pi, "slip angle [degrees]")
+    for model in models:
+        curve, means = model.traction.curve, model.traction.asked
+        low, high = curve.force - 1.96 * curve.sd, curve.force + 1.96 * curve.sd
+        traces.append(band(factor * curve.slip, low, high, model.label, model.look, stage=model.key))
+        traces.append(line(factor * curve.slip, curve.force, model.label, model.look, stage=model.key))
+        if means is not None:
+            marks = points(
+                factor * means.slip,
+                means.force,
+                f"asked for beside {model.label}",
+                Look(model.look.colour, "solid"),
+                error_x=factor * means.slip_sd,
+                error_y=means.sd,
+                stage=model.key,
+            )
+            traces.append(marks)
+    label = "The force of the tyre against slip: the fitted curve with its band, and what the recordings ask of it."
+    return Chart("tyre", label, tuple(traces), axes(unit, "force on a wheelset [N]"), 380)
+
+
+def missing(found: Missing) -> list[Chart]:
+    """The missing force of each run over time, with a band of two standard errors."""
+    charts = []
+    for k, run in enumerate(found.runs):
+        traces: list[Trace] = []
+        for c, (name, unit) in enumerate((("X", "N"), ("Y", "N"), ("N", "N m"))):
+            force, sd = run.force[:, c], run.sd[:, c]
+            if not np.isfinite(sd).any():
+                continue
+            drawn = look(("ground_slope", "steering_lag", "grip_split")[c])._replace(dash=("solid", "dash", "dot")[c])
+            low, high = force - 1.96 * sd, force + 1.96 * sd
+            traces.append(band(run.t, low, high, name, drawn))
+            traces.append(line(run.t, force, f"{name} [{unit}]", drawn))
+        label = f"The missing force in {run.run}, with 95% bands."
+        charts.append(Chart(f"force-{k}", label, tuple(traces), axes("time [s]", "N, N m"), 260, run.run))
+    return charts
+
+
+def dependence(shares: Sequence[Json]) -> Chart:
+    """What the missing force depends on."""
+    trace: Trace = {
+        "type": "bar",
+        "orientation": "h",
+        "y": [s["variable"] for s in shares][::-1],
+        "x": [None if s["share"] is None else 100 * s["share"] for s in shares][::-1],
+        "marker": {"color": TRAIN},
+        "hovertemplate": "%{y}: %{x:.1f} %<extra></extra>",
+    }
+    layout = axes(
+        "share that it predicts on runs left out [%]", "", yaxis={"automargin": True}, xaxis={"range": [0, 100]}
+    )
+    return Chart("dependence", "What the missing force depends on.", (trace,), layout, 90 + 22 * len(shares))

@@ -1,0 +1,42 @@
+"""The models of a result, each with what it plays in every run."""
+
+from typing import NamedTuple
+
+from .._explain import Explanation, Stage
+from .._fit import Fit
+from .._grip import Traction, traction
+from .._palette import Look, look
+from .._scenes import Scene, scenes, scenes_of
+
+
+class Played(NamedTuple):
+    """One model: a `key` for the page, a `label` for a reader, its look, its scenes and its tyre."""
+
+    key: str
+    label: str
+    look: Look
+    scenes: tuple[Scene, ...]
+    traction: Traction
+
+
+def played_fit(found: Fit) -> Played:
+    """The model of a fit."""
+    seen = scenes_of(found)
+    effects = list(found.model.effects)
+    label = f"model with {' and '.join(effects)}" if effects else "model"
+    return Played("0", label, look(""), seen, traction(found.study, found.optimum, seen))
+
+
+def played_stage(stage: Stage, number: int = 0) -> Played:
+    """The model of one step of the loop."""
+    study, optimum = stage.bench.study, stage.step.optimum
+    seen = scenes(study, optimum, stage.judgement)
+    sign = {"added": "+ ", "dropped": "- "}.get(stage.change, "")
+    label = f"{sign}{stage.name}" if sign else "base model"
+    drawn = look(stage.name) if stage.change == "added" else look(stage.effects[-1] if stage.effects else "")
+    return Played(str(number), label, drawn, seen, traction(study, optimum, seen))
+
+
+def played_stages(found: Explanation) -> tuple[Played, ...]:
+    """The model of every step of an explanation, the base first."""
+    return tuple(played_stage(stage, number) for number, stage in enumerate(found.stages))
