@@ -34,6 +34,7 @@ class Scene(NamedTuple):
     `track`, the residual. `seen` (n, 3), the recorded x [m], y [m] and heading [rad], NaN where lost; `pose` (n, 3),
     the modelled ones. Of each of W wheelsets, (n, W): `steered` [rad], how it stands to the board, positive to the
     left; `slip_speed` [m/s]; `slip` [rad], its slip angle; `force` [N], the traction against it. `rotor` (n,) [rad].
+    `skid_angle` (n,) [rad], the heading less the angle of the frame that forces are counted in (beta of `Coupled`).
     `states`: the state of the model at every sample, as `Model.rates` takes it.
     """
 
@@ -45,6 +46,7 @@ class Scene(NamedTuple):
     slip_speed: Float[np.ndarray, "n W"]
     slip: Float[np.ndarray, "n W"]
     force: Float[np.ndarray, "n W"]
+    skid_angle: Float[np.ndarray, " n"]
     states: Any
 
     @property
@@ -98,6 +100,7 @@ def _scene(study: Study, optimum: Optimum, k: int) -> Scene:
         speed,
         np.arctan2(speed, np.hypot(rolling, float(study.model.board.creep_speed))),
         np.stack(force, axis=1),
+        motion.heading - motion.theta,
         states,
     )
 

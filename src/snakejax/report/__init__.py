@@ -59,7 +59,10 @@ def explanation_page(found: Explanation, result: Json) -> str:
     models = played_stages(found)
     parts: list[Section] = [sections.paths(models), sections.falling(result), sections.moving()]
     if found.missing is not None and result["unexplained"] is not None:
-        parts.insert(2, sections.missing(result, figures.missing(found.missing)))
+        charts = figures.missing(found.missing)
+        if found.missing.depends_on and found.missing.shape is not None:
+            charts.insert(0, figures.shape(found.missing, found.missing.depends_on[0][0], models[0]))
+        parts.insert(2, sections.missing(result, charts))
     parts += [
         sections.failing(models),
         sections.ranking(result, lambda effect: sentence(effect, found.base)),

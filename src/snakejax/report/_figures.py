@@ -1,6 +1,6 @@
 """The charts of a page, each from the models it shows or from the JSON beside it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -9,12 +9,17 @@ from .._compare import stretches
 from .._json import Json
 from .._missing import Missing
 from .._palette import BASE, HELDOUT, MEASURED, TRAIN, Look, look
+from .._scenes import Scene
 from ._chart import EQUAL, Chart, Trace, axes, band, bars, line, plain, points, text, thinned
 from ._played import Played
 
 PHASE_BINS = 24
 SLIP_BINS = 20
 FEWEST = 5
+ARROW = 0.3
+"""The longest arrow, as a share of how far the runs go."""
+COMPONENTS = (Look("#d55e00", "solid"), Look("#2b7bba", "dash"), Look("#009e73", "dot"))
+"""X, Y and N of a force."""
 
 
 def held(name: str, role: str) -> str:
@@ -33,9 +38,10 @@ def paths(models: Sequence[Played]) -> list[Chart]:
         for model in models:
             pose, at = model.scenes[k].pose[thin], _at(scene, thin)
             traces.append(line(pose[:, 0], pose[:, 1], model.label, model.look, stage=model.key, hovertext=at))
-        start = points(scene.pose[:1, 0], scene.pose[:1, 1], "start", MEASURED, symbol="x")
+        first = scene.seen[np.isfinite(scene.seen[:, 0])][:1]
+        start = points(first[:, 0], first[:, 1], "first frame", MEASURED, symbol="x")
         label = f"The path of {scene.run}, measured and modelled."
-        layout = axes("x [m]", "y [m]", **EQUAL)
+        layout = axes("x [m]", "y [m]", showlegend=False, **EQUAL)
         charts.append(Chart(f"path-{k}", label, (*traces, start), layout, 320, scene.run))
     return charts
 
@@ -62,22 +68,30 @@ def falling(result: Json) -> Chart:
             traces.append(trace)
     floor = {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": 1, "y1": 1, "line": {"dash": "dot", "width": 2}}
     note = {"xref": "paper", "x": 1, "y": 0, "yref": "y", "text": "noise", "showarrow": False, "yanchor": "bottom"}
-    layout = axes(
-        "", "mean squared residual / noise", yaxis={"type": "log"}, barmode="group", shapes=[floor], annotations=[note]
-    )
+    every = [v for trace in traces for v in trace["y"] if v]
+    ends = {"type": "log", "range": [float(np.log10(v)) for v in (min(0.3, min(every) / 2), 3 * max(every))]}
+    layout = axes("", "mean squared residual / noise", yaxis=ends, barmode="group", shapes=[floor], annotations=[note])
+    layout["bargap"] = 0.45
     return Chart("falling", "The misfit after each step, train and held-out runs.", tuple(traces), layout, 360)
 
 
-def failing(model: Played) -> Chart:
-    """Where one model fails: runs against time, the misfit over a second as a colour."""
-    rows, names, length = [], [], 0
+def failing(models: Sequence[Played]) -> list[Chart]:
+    """Where each model fails: runs against time, the misfit over a second as a colour, one scale for all models."""
+    charts = [_failing(model) for model in models]
+    worst = max(v for chart in charts for row in chart.traces[0]["z"] for v in row if v is not None)
+    for chart in charts:
+        chart.traces[0]["zmax"] = max(1.0, worst)
+    return charts
+
+
+def _failing(model: Played) -> Chart:
+    rows, names = [], []
     for scene in model.scenes:
         cells: dict[float, list[float]] = {}
         for stretch in stretches(scene.track):
             cells.setdefault(round((stretch.begin + stretch.end) / 2, 3), []).append(stretch.misfit)
         rows.append({middle: float(np.mean(values)) for middle, values in cells.items()})
         names.append(held(scene.run, scene.role))
-        length = max(length, len(rows[-1]))
     middles = sorted({middle for row in rows for middle in row})
     misfit = [[row.get(middle) for middle in middles] for row in rows]
     z = [[None if v is None else plain([np.log10(max(v, 1e-3))])[0] for v in row] for row in misfit]
@@ -90,7 +104,6 @@ def failing(model: Played) -> Chart:
         "hovertemplate": "%{y}<br>%{x:.1f} s: misfit %{text}<extra></extra>",
         "colorscale": "Cividis",
         "zmin": 0,
-        "zmax": max(1.0, max((v for row in z for v in row if v is not None), default=1.0)),
         "colorbar": {"title": {"text": "log10 misfit"}, "thickness": 12},
         "meta": {"stage": model.key},
     }
@@ -150,7 +163,9 @@ def suspects(ranking: Sequence[Json]) -> Chart:
         }
         trace["marker"] |= {"color": looks, "size": 10, "line": {"width": 2, "color": looks}}
         traces.append(trace)
-    layout = axes("misfit it would leave", "", xaxis={"type": "log"}, yaxis={"automargin": True})
+    layout = axes(
+        "misfit it would leave (predicted: of short windows)", "", xaxis={"type": "log"}, yaxis={"automargin": True}
+    )
     return Chart("suspects", "What misfit each candidate would leave.", tuple(traces), layout, 90 + 20 * len(shown))
 
 
@@ -188,7 +203,7 @@ def missing(found: Missing) -> list[Chart]:
             force, sd = run.force[:, c], run.sd[:, c]
             if not np.isfinite(sd).any():
                 continue
-            drawn = look(("ground_slope", "steering_lag", "grip_split")[c])._replace(dash=("solid", "dash", "dot")[c])
+            drawn = COMPONENTS[c]
             low, high = force - 1.96 * sd, force + 1.96 * sd
             traces.append(band(run.t, low, high, name, drawn))
             traces.append(line(run.t, force, f"{name} [{unit}]", drawn))
@@ -211,3 +226,51 @@ def dependence(shares: Sequence[Json]) -> Chart:
         "share that it predicts on runs left out [%]", "", yaxis={"automargin": True}, xaxis={"range": [0, 100]}
     )
     return Chart("dependence", "What the missing force depends on.", (trace,), layout, 90 + 22 * len(shares))
+
+
+def shape(found: Missing, variable: str, model: Played) -> Chart:
+    """The missing force against the variable it depends on first; for a place in the world, as arrows on the floor."""
+    scenes = {scene.run: scene for scene in model.scenes}
+    if variable == "world_position":
+        return _arrows(found, scenes)
+    traces = []
+    for c, (name, unit) in enumerate((("X", "N"), ("Y", "N"), ("N", "N m"))):
+        parts = []
+        for run in found.runs:
+            if np.isfinite(run.sd[:, c]).any():
+                scene = scenes[run.run]
+                parts.append((np.interp(run.t, scene.times, _variable(scene, variable)), run.force[:, c], run.sd[:, c]))
+        if parts:
+            values, force, sd = np.concatenate(parts, axis=1)
+            traces.append(points(values, force, f"{name} [{unit}]", COMPONENTS[c], error_y=sd))
+    label = f"The missing force against {variable}."
+    return Chart("shape", label, tuple(traces), axes(variable.replace("_", " "), "N, N m"), 340)
+
+
+def _variable(scene: Scene, variable: str) -> Float[np.ndarray, " n"]:
+    return np.abs(scene.slip_speed).max(axis=1) if variable == "slip" else scene.track.variables[variable]
+
+
+def _arrows(found: Missing, scenes: Mapping[str, Scene]) -> Chart:
+    starts, forces, names = [], [], []
+    for run in found.runs:
+        scene = scenes[run.run]
+        # Where it was seen, and where no frame was, the place the model has.
+        pose = np.where(np.isfinite(scene.seen), scene.seen, scene.pose)
+        x, y = (np.interp(run.t, scene.times, pose[:, c]) for c in (0, 1))
+        frame = np.interp(run.t, scene.times, np.unwrap(pose[:, 2]) - scene.skid_angle)
+        X, Y = run.force[:, 0], np.where(np.isfinite(run.sd[:, 1]), run.force[:, 1], 0.0)
+        starts.append(np.stack([x, y], axis=1))
+        forces.append(np.stack([X * np.cos(frame) - Y * np.sin(frame), X * np.sin(frame) + Y * np.cos(frame)], axis=1))
+        names += [f"{run.run}, {t:.1f} s: {f:.3g} N" for t, f in zip(run.t, np.hypot(X, Y), strict=True)]
+    start, force = np.concatenate(starts), np.concatenate(forces)
+    size = float(np.ptp(start, axis=0).max()) / max(float(np.linalg.norm(force, axis=1).max()), 1e-12)
+    end = start + ARROW * size * force
+    shafts = np.stack([start, end, np.full_like(start, np.nan)], axis=1).reshape(-1, 2)
+    traces = (
+        line(shafts[:, 0], shafts[:, 1], "missing force", COMPONENTS[0], width=1, hoverinfo="skip"),
+        points(start[:, 0], start[:, 1], "where", COMPONENTS[0], hovertext=[text(n) for n in names], hoverinfo="text"),
+    )
+    traces[1]["marker"]["size"] = 4
+    label = "The missing force as arrows from where the board was, along and across the board together."
+    return Chart("shape", label, traces, axes("x [m]", "y [m]", **EQUAL), 460)

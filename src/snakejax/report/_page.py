@@ -1,6 +1,8 @@
 """A page: sections of sentences, tables and charts, written as one HTML file that needs nothing else."""
 
+import base64
 import functools
+import gzip
 import importlib.resources
 import json
 from collections.abc import Mapping, Sequence
@@ -70,9 +72,7 @@ class Page(NamedTuple):
 
 
 def render(page: Page) -> str:
-    """The page as HTML, with Plotly's JavaScript in it: 5 MB that open from disk, without a network."""
-    from plotly.offline import get_plotlyjs
-
+    """The page as HTML, with Plotly's JavaScript in it, packed: 2 MB that open from disk, without a network."""
     charts = {
         chart.name: {"data": chart.traces, "layout": chart.layout}
         for section in page.sections
@@ -80,7 +80,7 @@ def render(page: Page) -> str:
     }
     return _template().render(
         page=page,
-        plotly=get_plotlyjs(),
+        plotly=_plotly(),
         style=_asset("page.css"),
         script=_asset("page.js"),
         charts=for_script(charts),
@@ -108,6 +108,14 @@ def cells(*parts: "str | Cell") -> tuple[Cell, ...]:
 def table(caption: str, heads: Sequence[str], rows: Sequence[Row]) -> Table:
     """A table whose columns hold numbers where the heads begin with `#`, which is not shown."""
     return Table(caption, tuple(h.lstrip("#") for h in heads), tuple(h.startswith("#") for h in heads), tuple(rows))
+
+
+@functools.cache
+def _plotly() -> str:
+    """Plotly's JavaScript, gzip in base64: the browser unpacks it in a tenth of a second."""
+    from plotly.offline import get_plotlyjs
+
+    return base64.b64encode(gzip.compress(get_plotlyjs().encode(), mtime=0)).decode()
 
 
 @functools.cache

@@ -14,7 +14,10 @@ Words = Callable[[str], str]
 
 def paths(models: Sequence[Played]) -> Section:
     """Measured and modelled paths."""
-    text = "Grey is what the cameras saw; a gap is a stretch of lost frames. Axes are in metres and equally long."
+    text = (
+        "The broad grey line is what the cameras saw, with gaps where frames were lost; a cross is its first frame."
+        " Thin lines are the models. Axes are in metres and equally long."
+    )
     return Section("paths", "Paths, measured and modelled", (text,), tuple(figures.paths(models)), wide=False)
 
 
@@ -82,13 +85,11 @@ def _scaled(value: float | None, key: str) -> Cell:
 
 def failing(models: Sequence[Played], comparison: Json | None = None) -> Section:
     """Where the models fail."""
-    charts = [figures.failing(model) for model in models]
+    charts = figures.failing(models)
     charts.append(figures.against(models, "gait_phase", "gait phase [rad]", circular=True))
     charts.append(figures.against(models, "slip", "slip angle [rad]"))
     charts.append(figures.against(models, "speed", "speed [m/s]"))
-    text = (
-        "Each second of each run, then over gait phase, slip and speed. A misfit of 1, its logarithm 0, is noise."
-    )
+    text = "Each second of each run, then over gait phase, slip and speed. A misfit of 1, its logarithm 0, is noise."
     return Section("failing", "Where the model fails", (text,), tuple(charts), tuple(_comparison(comparison)))
 
 
@@ -141,8 +142,9 @@ def ranking(result: Json, words: Words) -> Section:
     rows = []
     for k, one in enumerate(result["ranking"]):
         key = f"ranking.{k}"
+        p = one["p_value"]
         first = [
-            Cell("" if one["p_value"] is None else f"{one['p_value']:.1g}", f"{key}.p_value"),
+            Cell("" if p is None else f"{p:.1g}" if p > 0 else "< 1e-300", f"{key}.p_value"),
             Cell(misfit_text(one["predicted_misfit"]), f"{key}.predicted_misfit"),
             Cell(misfit_text(one["refit_misfit"]), f"{key}.refit_misfit"),
         ]

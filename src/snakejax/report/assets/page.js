@@ -63,7 +63,17 @@
       if (entry.isIntersecting && !drawn.has(entry.target.id)) draw(entry.target);
     }
   }, { rootMargin: "600px" });
-  document.querySelectorAll(".chart").forEach((element) => near.observe(element));
+  // The plotting library is unpacked while text, switches and the player are there already.
+  const unpack = async () => {
+    const packed = Uint8Array.from(atob(document.getElementById("plotly").textContent), (c) => c.charCodeAt(0));
+    const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
+    const script = document.createElement("script");
+    script.textContent = await new Response(stream).text();
+    document.head.append(script);
+    document.querySelectorAll(".chart").forEach((element) => near.observe(element));
+    document.documentElement.dataset.charts = "yes";
+  };
+  setTimeout(unpack, 0);
   const redress = () => drawn.forEach((ready, id) => ready.then(() => {
     const element = document.getElementById(id);
     Plotly.relayout(element, dressed(charts[id].layout));
@@ -130,12 +140,14 @@
       svg.setAttribute("viewBox", `${west - room} ${-north - room} ${east - west + 2 * room} ${north - south + 2 * room}`);
       const world = make("g", { transform: "scale(1 -1)" }, svg);
       const step = 10 ** Math.floor(Math.log10(Math.max(east - west, north - south, L)));
-      const bar = make("line", { x1: west, y1: south - 1.3 * room * 0.9, x2: west + step, y2: south - 1.3 * room * 0.9,
-        ...line, stroke: "currentColor", "stroke-width": 2 }, world);
-      const name = make("text", { x: west + step * 1.05, y: -(south - 1.3 * room * 0.9), fill: "currentColor",
-        "font-size": 0.05 * (north - south + 2 * room), "dominant-baseline": "middle" }, svg);
+      const [left, low] = [west - 0.8 * room, south - 0.75 * room];
+      make("line", { x1: left, y1: low, x2: left + step, y2: low, ...line, stroke: "currentColor", "stroke-width": 3 },
+        world);
+      const name = make("text", { x: left, y: -low - 0.02 * (north - south + 2 * room), fill: "currentColor",
+        "font-size": 0.045 * (north - south + 2 * room) }, svg);
       name.textContent = `${step} m`;
-      bar.setAttribute("data-metres", step);
+      make("path", { ...line, d: trail(run.x, run.y, run.t.length - 1), stroke: movie.measured, "stroke-width": 4,
+        opacity: 0.25 }, world);
       parts = {
         seen: make("path", { ...line, stroke: movie.measured, "stroke-width": 2, opacity: 0.6 }, world),
         path: make("path", { ...line, stroke: model.colour, "stroke-width": 1.5 }, world),
