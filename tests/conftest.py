@@ -1,5 +1,6 @@
 """What every test takes for granted: double precision, and no silent change of type or of rank."""
 
+import importlib.util
 from pathlib import Path
 
 import jax
@@ -19,3 +20,31 @@ def recordings() -> Path:
     if not folder.is_dir():
         pytest.skip("The large recordings are not here: they belong in ../shared/recordings.")
     return folder
+
+
+def study(name: str):
+    """The module of one study of `fit/`."""
+    path = Path(__file__).resolve().parents[1] / "fit" / f"{name}.py"
+    description = importlib.util.spec_from_file_location(f"study_{name}", path)
+    assert description is not None and description.loader is not None
+    module = importlib.util.module_from_spec(description)
+    description.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="session")
+def study_folder(tmp_path_factory) -> Path:
+    """Where the studies write."""
+    return tmp_path_factory.mktemp("studies")
+
+
+@pytest.fixture(scope="session")
+def hidden_effect(study_folder):
+    """What `fit/hidden_effect.py` finds, run as a user runs it."""
+    return study("hidden_effect").main(study_folder)
+
+
+@pytest.fixture(scope="session")
+def own_effect(study_folder):
+    """What `fit/own_effect.py` finds, before and after the effect of one's own is there."""
+    return study("own_effect").main(study_folder)

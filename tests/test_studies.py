@@ -1,38 +1,30 @@
 """The studies of `fit/`, run as a user runs them: the effect by name, its value, the fall of the error."""
 
-import importlib.util
 from pathlib import Path
 
 import pytest
+from conftest import study
 
 FIT = Path(__file__).resolve().parents[1] / "fit"
 
 pytestmark = pytest.mark.slow
 
 
-def study(name):
-    """The module of one study."""
-    description = importlib.util.spec_from_file_location(f"study_{name}", FIT / f"{name}.py")
-    module = importlib.util.module_from_spec(description)
-    description.loader.exec_module(module)
-    return module
-
-
-def test_the_hidden_effect_is_found_and_explains_the_recording(tmp_path):
+def test_the_hidden_effect_is_found_and_explains_the_recording(hidden_effect, study_folder):
     """`tilted-floor` was made on a floor that rises by 3 mm/m along x and falls by 2 mm/m along y."""
-    found = study("hidden_effect").main(tmp_path)
+    found = hidden_effect
     assert (found.verdict, found.effects) == ("explained", ("ground_slope",))
     assert found.base.train.misfit > 1000
     assert found.final.train.misfit <= 1.05 and found.final.heldout.misfit <= 1.10
     for name, truth in (("sx", 0.003), ("sy", -0.002)):
         estimate = found.final.estimates[f"effects.ground_slope.{name}"]
         assert abs(estimate.value - truth) < 3 * estimate.sd
-    assert (tmp_path / "fall.png").stat().st_size > 10_000
+    assert (study_folder / "fall.png").stat().st_size > 10_000
 
 
-def test_an_effect_of_ones_own_explains_what_no_library_holds(tmp_path):
+def test_an_effect_of_ones_own_explains_what_no_library_holds(own_effect):
     """`spring-board` was pulled by a spring of 0.15 N/m to a point fixed in the world."""
-    before, after = study("own_effect").main(tmp_path)
+    before, after = own_effect
     assert before.verdict == "unexplained" and before.effects == ()
     assert before.missing.depends_on[0][0] == "world_position"
     assert (after.verdict, after.effects) == ("explained", ("missing_force",))
