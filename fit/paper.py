@@ -20,6 +20,7 @@ import numpy as np  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
 from snakejax import plot  # noqa: E402
+from snakejax._palette import MEASURED, look  # noqa: E402
 from snakejax.effects import LongitudinalSlip  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -326,13 +327,13 @@ def polynomials(folder: Path) -> tuple[list[Claim], str]:
             found = sj.nearest_rayleigh(board(example, skid=skid), example.gait, times(example), {"tyre.D": D})
             curve = sj.polynomial(D, found.k_s.values)
             axis.plot(D, found.best, ".", color="0.75", ms=5)
-            axis.plot(D, found.k_s, ".", color=plot.MEASURED, ms=5)
+            axis.plot(D, found.k_s, ".", color=MEASURED.colour, ms=5)
             fits = int(np.isfinite(found.k_s).sum())
             text = "none"
             if curve is not None:
                 low, high = curve.fitted_range
                 x = np.linspace(low, high, 200)
-                axis.plot(x, curve(x), color=plot.MODELLED, lw=1.2)
+                axis.plot(x, curve(x), color=look("lateral_skid").colour, lw=1.2)
                 text = f"{curve.r_squared:.5f} on {low:g} to {high:g} N"
                 good.append(curve.r_squared)
             axis.set(title=f"{name[6:]}, {skid}", xlabel="D [N]", ylabel="$k_s$ [N s/m]")

@@ -1,12 +1,16 @@
 """What every test takes for granted: double precision, and no silent change of type or of rank."""
 
 import importlib.util
+import os
+import shutil
 from pathlib import Path
 
 import jax
 import pytest
 
 from snakejax import prepare_jax
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
 prepare_jax()
 jax.config.update("jax_numpy_dtype_promotion", "strict")
@@ -20,6 +24,20 @@ def recordings() -> Path:
     if not folder.is_dir():
         pytest.skip("The large recordings are not here: they belong in ../shared/recordings.")
     return folder
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """Headless Chromium, the system's own."""
+    found = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if found is None:
+        why = f"None of {', '.join(BROWSERS)} is installed."
+        (pytest.fail if os.environ.get("SNAKEJAX_NEEDS_BROWSER") else pytest.skip)(why)
+    api = pytest.importorskip("playwright.sync_api")
+    with api.sync_playwright() as playwright:
+        launched = playwright.chromium.launch(executable_path=found, args=["--no-sandbox"])
+        yield launched
+        launched.close()
 
 
 def study(name: str):

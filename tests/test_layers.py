@@ -18,7 +18,8 @@ ORDER = [
     "_model", "_simulate", "_lanes", "_least_squares", "_study", "effects", "readers", "_toml", "_case", "_presets",
     "_check", "_template", "_pieces", "_cluster", "_sweep", "_rayleigh", "_windows", "_fit", "_replay", "_scenes",
     "_grip", "_compare", "_score", "_sight", "_diagnose", "_free_force", "_dependence", "_missing", "_starter",
-    "_explain", "_tune", "_json", "_text", "_story", "_palette", "plot", "report", "_cli", "__main__", "__init__",
+    "_explain", "_tune", "_json", "_text", "_story", "_palette", "_played", "plot", "report",
+    "_cli", "__main__", "__init__",
 ]
 # fmt: on
 CORE = ORDER[: ORDER.index("effects")]

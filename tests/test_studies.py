@@ -3,7 +3,13 @@
 from pathlib import Path
 
 import pytest
+from browsing import Seen, check, written
 from conftest import study
+
+from snakejax._json import provenance_json
+from snakejax._played import played_stages
+from snakejax._story import explanation_json
+from snakejax.report import explanation_page
 
 FIT = Path(__file__).resolve().parents[1] / "fit"
 
@@ -30,6 +36,26 @@ def test_an_effect_of_ones_own_explains_what_no_library_holds(own_effect):
     assert (after.verdict, after.effects) == ("explained", ("missing_force",))
     assert after.final.train.misfit <= 1.05 and after.final.heldout.misfit <= 1.10
     assert before.base.train.misfit > 100 * after.final.train.misfit
+
+
+@pytest.mark.parametrize("study", ["hidden_effect", "own_effect"])
+def test_the_story_of_a_bundled_recording(study, request, browser, tmp_path) -> None:
+    found = request.getfixturevalue(study)
+    found = found[0] if isinstance(found, tuple) else found
+    result = explanation_json(found, provenance_json(0, {}, found.case.sha256))
+    seen = Seen(browser, written(tmp_path, explanation_page(found, result, played_stages(found))))
+    page = seen.page
+    assert found.case.name in page.inner_text("h1") and found.verdict in page.inner_text("h1")
+    headings = [h.text_content() for h in page.query_selector_all("h2")]
+    assert headings[0].startswith("Paths") and "What may be missing" in headings
+    assert ("The missing force" in headings) == (found.verdict == "unexplained")
+    if found.missing is not None:
+        shares = {t["variable"]: t["share"] for t in result["unexplained"]["depends_on"]}
+        drawn = seen.traces("dependence")[0]
+        assert {n: v / 100 for n, v in zip(drawn["y"], drawn["x"], strict=True)} == pytest.approx(shares, rel=1e-5)
+    run = result["final"]["runs"][0]
+    assert page.query_selector(f'tr[data-run="{run["run"]}"]') is not None
+    check(seen)
 
 
 def test_the_claims_of_the_paper_are_found_as_documented(tmp_path, monkeypatch):

@@ -21,6 +21,8 @@ MEASURED = Look("#808080", "solid")
 BASE = Look("#2b7bba", "dash")
 TRAIN, HELDOUT = "#56789a", "#d55e00"
 COLOURS = ("#d55e00", "#009e73", "#c060a0", "#b8860b", "#3aa0d8", "#7a5cc0", "#8a8a20", "#b03030")
+FORCES = (Look("#d55e00", "solid"), Look("#2b7bba", "dash"), Look("#009e73", "dot"))
+"""X, Y and N of a force."""
 DASHES = ("solid", "dashdot", "dot")
 MATPLOTLIB = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-."}
 

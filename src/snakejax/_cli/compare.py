@@ -5,9 +5,10 @@ from pathlib import Path
 from typing import Any
 
 from .._errors import InputError, instead_of
+from ._films import add_films, require_films
 from ._options import MODELS, add_cases, add_command, add_fitting, add_model, given, names, threshold
 from ._setup import Clock, Outcome, Say, each_case
-from .fit import draw, fitted
+from .fit import fitted, report_fit
 
 
 def add(commands: Any) -> None:
@@ -23,6 +24,7 @@ def add(commands: Any) -> None:
     add_cases(command)
     add_model(command)
     add_fitting(command)
+    add_films(command)
     command.add_argument(
         "--against", metavar="MODEL,...", help=f"fit these models too and put them side by side: {', '.join(MODELS)}"
     )
@@ -31,6 +33,7 @@ def add(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Compare each CASE with its model."""
     threshold(options.robust)
+    require_films(options)
     for kind in names(options.against) or ():
         if kind not in MODELS:
             raise InputError(f"There is no model `{kind}`", "option --against", instead_of(kind, MODELS))
@@ -42,9 +45,8 @@ def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     from rich.console import Group
 
     from .._compare import compare, side_by_side
-    from .._json import clean, comparison_json, fit_json, provenance_json, write_whole
+    from .._json import clean, comparison_json, fit_json, provenance_json
     from .._text import compare_report, fit_report
-    from ..report import fit_page
 
     clock = Clock()
     found, noise = fitted(options, case, say)
@@ -60,8 +62,6 @@ def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     result["seconds"] = clock.seconds()
 
     def write(folder: Path) -> None:
-        say("drawing")
-        write_whole(folder / "compare.html", fit_page(case, noise, found, result))
-        draw(found, folder)
+        report_fit(options, case, noise, found, result, folder, say)
 
     return Outcome(result, Group(fit_report(case, noise, found), compare_report(failing, sides)), write)

@@ -31,6 +31,7 @@ def run(options: argparse.Namespace) -> int:
 
 def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     """Diagnose one case."""
+    from .. import plot
     from .._check import noise_of
     from .._explain import diagnose
     from .._json import provenance_json, write_whole
@@ -46,5 +47,7 @@ def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     def write(folder: Path) -> None:
         say("drawing")
         write_whole(folder / "diagnose.html", diagnosis_page(case, noise, base, result))
+        plot.save(plot.ranking(base), folder, "ranking")
+        plot.save(plot.confusability(base), folder, "confusability")
 
     return Outcome(result, diagnosis_text(case, base), write)

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from .._errors import InputError, instead_of
+from ._films import add_films, films, require_films
 from ._options import SKIDS, add_cases, add_command, effect_spec, given
 from ._setup import Clock, Outcome, Say, each_case
 
@@ -22,6 +23,7 @@ def add(commands: Any) -> None:
     )
     add_cases(command)
     add_candidates(command)
+    add_films(command)
 
 
 def add_candidates(command: argparse.ArgumentParser) -> None:
@@ -35,6 +37,7 @@ def add_candidates(command: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Explain each CASE."""
+    require_films(options)
     return each_case(options, lambda case, say: work(options, case, say))
 
 
@@ -75,6 +78,7 @@ def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     from .._check import noise_of
     from .._explain import explain
     from .._json import provenance_json, write_whole
+    from .._played import played_stages
     from .._starter import starter
     from .._story import explanation_json, explanation_text
     from ..report import explanation_page
@@ -88,8 +92,17 @@ def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
 
     def write(folder: Path) -> None:
         say("drawing")
-        write_whole(folder / "explain.html", explanation_page(found, result))
+        models = list(played_stages(found))
+        write_whole(folder / "explain.html", explanation_page(found, result, models))
         plot.save(plot.fall(found), folder, "fall")
+        plot.save(plot.waterfall(found), folder, "waterfall")
+        ends = models if len(models) < 3 else [models[0], models[-1]]
+        plot.save(plot.paths(ends), folder, "paths")
+        plot.save(plot.residuals(models[-1]), folder, "residuals")
+        plot.save(plot.tyre(ends), folder, "tyre")
+        plot.save(plot.ranking(found.base), folder, "ranking")
+        plot.save(plot.confusability(found.base), folder, "confusability")
+        films(options, models[-1], case.board, folder, say)
         if found.missing is None:
             return
         plot.save(plot.missing(found), folder, "missing")

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .._errors import InputError
+from ._films import add_films, films, require_films
 from ._options import add_cases, add_command, add_fitting, add_model, given, names, threshold
 from ._setup import Clock, Outcome, Say, each_case
 
@@ -26,6 +27,7 @@ def add(commands: Any) -> None:
     add_cases(command)
     add_model(command)
     add_fitting(command)
+    add_films(command)
     command.add_argument(
         "--profile", metavar="C,E", help="95%% intervals of these by profile, where a standard error misleads"
     )
@@ -34,15 +36,15 @@ def add(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Fit each CASE."""
     threshold(options.robust)
+    require_films(options)
     return each_case(options, lambda case, say: work(options, case, say))
 
 
 def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     """Fit one case."""
     from .._fit import profile
-    from .._json import fit_json, provenance_json, write_whole
+    from .._json import fit_json, provenance_json
     from .._text import fit_report
-    from ..report import fit_page
 
     clock = Clock()
     found, noise = fitted(options, case, say)
@@ -54,9 +56,7 @@ def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     result = fit_json(case, noise, found, provenance, intervals, clock.seconds())
 
     def write(folder: Path) -> None:
-        say("drawing")
-        write_whole(folder / "fit.html", fit_page(case, noise, found, result))
-        draw(found, folder)
+        report_fit(options, case, noise, found, result, folder, say)
 
     return Outcome(result, fit_report(case, noise, found, intervals), write)
 
@@ -91,13 +91,29 @@ def profiled(options: argparse.Namespace, found: "Fit") -> list[str]:
     return [name for name in wanted if name in loose]
 
 
-def draw(found: "Fit", folder: Path) -> None:
-    """Write the figures of a fit into `folder`."""
+def report_fit(
+    options: argparse.Namespace,
+    case: "Case",
+    noise: "Noise",
+    found: "Fit",
+    result: dict[str, Any],
+    folder: Path,
+    say: Say,
+) -> None:
+    """Write the report, the figures and the films of a fit into `folder`."""
     from .. import plot
+    from .._json import write_whole
+    from .._played import played_fit
+    from ..report import fit_page
 
+    say("drawing")
+    model = played_fit(found)
+    write_whole(folder / f"{options.command}.html", fit_page(case, noise, found, result, model))
     try:
-        plot.save(plot.paths(found), folder, "paths")
-        plot.save(plot.residuals(found), folder, "residuals")
+        plot.save(plot.paths([model]), folder, "paths")
+        plot.save(plot.residuals(model), folder, "residuals")
+        plot.save(plot.tyre([model]), folder, "tyre")
     except OSError as error:
         what = f"Cannot write the figures ({error.strerror})"
         raise InputError(what, str(folder), "name a folder you may write to") from None
+    films(options, model, found.study.model.board, folder, say)

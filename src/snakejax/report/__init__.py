@@ -9,6 +9,7 @@ from .._case import Case
 from .._explain import Explanation, Stage
 from .._fit import Fit
 from .._json import Json
+from .._played import Played, played_stage
 from .._recording import Noise
 from .._story import headline, sentence
 from .._text import misfit_text, noise_line
@@ -16,12 +17,11 @@ from . import _figures as figures
 from . import _sections as sections
 from ._movie import movie
 from ._page import Model, Page, Section, render
-from ._played import Played, played_fit, played_stage, played_stages
 
 
-def fit_page(case: Case, noise: Noise, found: Fit, result: Json) -> str:
-    """The report of a fit, or of a comparison where `result` has one."""
-    models = (played_fit(found),)
+def fit_page(case: Case, noise: Noise, found: Fit, result: Json, model: Played) -> str:
+    """The report of a fit, or of a comparison where `result` has one; `model` is that of `played_fit`."""
+    models = (model,)
     train, held = found.train_score, found.heldout_score
     unseen = "" if held is None else f", {misfit_text(held.misfit)} on held-out runs"
     told = f"{case.name}: the model leaves a misfit of {misfit_text(train.misfit)}{unseen} (1 is noise)."
@@ -54,9 +54,8 @@ def diagnosis_page(case: Case, noise: Noise, base: Stage, result: Json) -> str:
     return _page(case, noise, told, models, parts, result, base.bench.study.model.board)
 
 
-def explanation_page(found: Explanation, result: Json) -> str:
-    """The report of an explanation: the story from the first misfit to the verdict."""
-    models = played_stages(found)
+def explanation_page(found: Explanation, result: Json, models: Sequence[Played]) -> str:
+    """The report of an explanation, from the first misfit to the verdict; `models` are those of `played_stages`."""
     parts: list[Section] = [sections.paths(models), sections.falling(result), sections.moving()]
     if found.missing is not None and result["unexplained"] is not None:
         charts = figures.missing(found.missing)

@@ -8,18 +8,16 @@ from jaxtyping import Float
 from .._compare import stretches
 from .._json import Json
 from .._missing import Missing
-from .._palette import BASE, HELDOUT, MEASURED, TRAIN, Look, look
+from .._palette import BASE, FORCES, HELDOUT, MEASURED, TRAIN, Look, look
+from .._played import Played
 from .._scenes import Scene
 from ._chart import EQUAL, Chart, Trace, axes, band, bars, line, plain, points, text, thinned
-from ._played import Played
 
 PHASE_BINS = 24
 SLIP_BINS = 20
 FEWEST = 5
 ARROW = 0.3
 """The longest arrow, as a share of how far the runs go."""
-COMPONENTS = (Look("#d55e00", "solid"), Look("#2b7bba", "dash"), Look("#009e73", "dot"))
-"""X, Y and N of a force."""
 
 
 def held(name: str, role: str) -> str:
@@ -203,7 +201,7 @@ def missing(found: Missing) -> list[Chart]:
             force, sd = run.force[:, c], run.sd[:, c]
             if not np.isfinite(sd).any():
                 continue
-            drawn = COMPONENTS[c]
+            drawn = FORCES[c]
             low, high = force - 1.96 * sd, force + 1.96 * sd
             traces.append(band(run.t, low, high, name, drawn))
             traces.append(line(run.t, force, f"{name} [{unit}]", drawn))
@@ -242,7 +240,7 @@ def shape(found: Missing, variable: str, model: Played) -> Chart:
                 parts.append((np.interp(run.t, scene.times, _variable(scene, variable)), run.force[:, c], run.sd[:, c]))
         if parts:
             values, force, sd = np.concatenate(parts, axis=1)
-            traces.append(points(values, force, f"{name} [{unit}]", COMPONENTS[c], error_y=sd))
+            traces.append(points(values, force, f"{name} [{unit}]", FORCES[c], error_y=sd))
     label = f"The missing force against {variable}."
     return Chart("shape", label, tuple(traces), axes(variable.replace("_", " "), "N, N m"), 340)
 
@@ -268,8 +266,8 @@ def _arrows(found: Missing, scenes: Mapping[str, Scene]) -> Chart:
     end = start + ARROW * size * force
     shafts = np.stack([start, end, np.full_like(start, np.nan)], axis=1).reshape(-1, 2)
     traces = (
-        line(shafts[:, 0], shafts[:, 1], "missing force", COMPONENTS[0], width=1, hoverinfo="skip"),
-        points(start[:, 0], start[:, 1], "where", COMPONENTS[0], hovertext=[text(n) for n in names], hoverinfo="text"),
+        line(shafts[:, 0], shafts[:, 1], "missing force", FORCES[0], width=1, hoverinfo="skip"),
+        points(start[:, 0], start[:, 1], "where", FORCES[0], hovertext=[text(n) for n in names], hoverinfo="text"),
     )
     traces[1]["marker"]["size"] = 4
     label = "The missing force as arrows from where the board was, along and across the board together."

@@ -8,9 +8,9 @@ import numpy as np
 from .._board import Board
 from .._json import Json
 from .._palette import MEASURED
+from .._played import Played
 from .._scenes import Scene
 from ._chart import plain
-from ._played import Played
 
 RATE = 20.0
 """Pictures a second."""

@@ -3,10 +3,10 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from .._json import Json
+from .._played import Played
 from .._text import misfit_text, number
 from . import _figures as figures
 from ._page import Cell, Row, Section, Table, cells, plain_sentences, table
-from ._played import Played
 
 Words = Callable[[str], str]
 """What an effect is, in a sentence."""

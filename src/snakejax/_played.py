@@ -2,11 +2,11 @@
 
 from typing import NamedTuple
 
-from .._explain import Explanation, Stage
-from .._fit import Fit
-from .._grip import Traction, traction
-from .._palette import Look, look
-from .._scenes import Scene, scenes, scenes_of
+from ._explain import Explanation, Stage
+from ._fit import Fit
+from ._grip import Traction, traction
+from ._palette import Look, look
+from ._scenes import Scene, scenes, scenes_of
 
 
 class Played(NamedTuple):
@@ -33,8 +33,13 @@ def played_stage(stage: Stage, number: int = 0) -> Played:
     seen = scenes(study, optimum, stage.judgement)
     sign = {"added": "+ ", "dropped": "- "}.get(stage.change, "")
     label = f"{sign}{stage.name}" if sign else "base model"
-    drawn = look(stage.name) if stage.change == "added" else look(stage.effects[-1] if stage.effects else "")
-    return Played(str(number), label, drawn, seen, traction(study, optimum, seen))
+    return Played(str(number), label, stage_look(stage), seen, traction(study, optimum, seen))
+
+
+def stage_look(stage: Stage) -> Look:
+    """The look of a step: that of the effect it added, and after one was dropped that of the last one left."""
+    effects = stage.effects
+    return look(stage.name if stage.change == "added" else effects[-1] if effects else "")
 
 
 def played_stages(found: Explanation) -> tuple[Played, ...]:

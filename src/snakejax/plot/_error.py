@@ -1,0 +1,61 @@
+"""Figures of the error falling."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from .._explain import Explanation
+from .._palette import HELDOUT, MEASURED, TRAIN
+from .._played import stage_look
+from .._scenes import scenes
+from ._paths import path, titled
+
+
+def fall(found: Explanation) -> Figure:
+    """The story of an explanation: the held-out path before and after, and the error falling step by step.
+
+    Left, one held-out run (or train run where none is held out) as measured, by the base model and by the final one,
+    x against y [m]. Right, the misfit of train and held-out runs at each step, on a logarithmic scale, and the noise.
+    """
+    figure = Figure(figsize=(10.0, 4.2), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.2))
+    last = len(found.stages) - 1
+    stages = [found.stages[k] for k in sorted({0, last})]
+    played = [scenes(stage.bench.study, stage.step.optimum, stage.judgement) for stage in stages]
+    shown = next((k for k, scene in enumerate(played[0]) if scene.role == "heldout"), 0)
+    seen = played[0][shown].seen
+    path(left, seen, MEASURED, "measured", wide=True)
+    for stage, its in zip(stages, played, strict=True):
+        name = "base model" if stage is found.base else "with " + " and ".join(found.final.effects)
+        path(left, np.where(np.isfinite(seen), its[shown].pose, np.nan), stage_look(stage), name)
+    left.set(title=titled(its[shown].run, its[shown].role), xlabel="x [m]", ylabel="y [m]")
+    left.set_aspect("equal", adjustable="datalim")
+    left.legend(fontsize="small")
+    _bars(right, found)
+    return figure
+
+
+def waterfall(found: Explanation) -> Figure:
+    """The misfit of train and held-out runs at each step, on a logarithmic scale, and the noise at 1."""
+    figure = Figure(figsize=(2.2 + 1.4 * len(found.stages), 4.2), layout="constrained")
+    _bars(figure.subplots(), found)
+    return figure
+
+
+def _bars(axis: Axes, found: Explanation) -> None:
+    places = np.arange(len(found.stages))
+    for shift, colour, name, hatch, scores in (
+        (-0.2, TRAIN, "train", "", [stage.train for stage in found.stages]),
+        (0.2, HELDOUT, "held out", "//", [stage.heldout for stage in found.stages]),
+    ):
+        misfits = [np.nan if score is None else score.misfit for score in scores]
+        if not np.isfinite(misfits).any():
+            continue
+        bars = axis.bar(places + shift, misfits, 0.38, color=colour, hatch=hatch, edgecolor="white", lw=0, label=name)
+        axis.bar_label(bars, [f"{value:.3g}" if np.isfinite(value) else "" for value in misfits], fontsize="small")
+    axis.axhline(1.0, color="0.2", lw=1, ls=":", label="noise")
+    axis.set_yscale("log")
+    axis.set_xticks(places, [f"{stage.change}\n{stage.name}" for stage in found.stages], fontsize="small")
+    axis.set(ylabel="mean squared residual / noise variance", title=titled(f"{found.case.name}: {found.verdict}", ""))
+    axis.margins(y=0.15)
+    axis.legend(fontsize="small")

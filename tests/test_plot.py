@@ -1,0 +1,129 @@
+"""Figures against pictures that were looked at, and films as a player sees them.
+
+To renew the pictures after a change that is wanted: SNAKEJAX_NEW_PICTURES=1 python -m pytest tests/test_plot.py, and
+look at them.
+"""
+
+import os
+import shutil
+import subprocess
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+from matplotlib.testing.compare import compare_images
+from PIL import Image
+from small import small
+
+from snakejax import InputError, plot, polynomial
+from snakejax._palette import BASE, COLOURS, DASHES, MEASURED, look
+from snakejax._played import Played, played_fit
+from snakejax.effects import LIBRARY
+
+PICTURES = Path(__file__).parent / "pictures"
+TOLERANCE = 6.0
+"""Root mean square of the difference in grey levels: another rendering of letters is below, another curve above."""
+
+
+@pytest.fixture(scope="module")
+def model() -> Played:
+    return played_fit(small()[2])
+
+
+def swept() -> xarray.Dataset:
+    """A sweep as `nearest_rayleigh` gives it."""
+    D = np.linspace(0.5, 10.0, 12)
+    values = {"k_s": ("D", 3 + 2 * D - 0.05 * D**2), "mismatch": ("D", 0.01 + 0.002 * D)}
+    found = xarray.Dataset(values, {"D": D})
+    found.D.attrs["units"] = "N"
+    return found
+
+
+FIGURES = {
+    "paths": lambda m: plot.paths([m]),
+    "residuals": lambda m: plot.residuals(m),
+    "tyre": lambda m: plot.tyre([m]),
+    "board": lambda m: plot.board(m, small()[0].board, time=2.0),
+    "sweep": lambda m: plot.sweep(swept(), polynomial(swept().D.values, swept().k_s.values), "made"),
+}
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_a_figure_is_as_it_was_looked_at(name, model, tmp_path) -> None:
+    figure = FIGURES[name](model)
+    for axis in figure.axes:
+        labelled = axis.get_xlabel() or axis.get_ylabel() or not axis.axison
+        assert labelled or axis.get_shared_x_axes().get_siblings(axis), f"An axis of {name} has no unit."
+    figure.set_dpi(60)
+    drawn, kept = tmp_path / f"{name}.png", PICTURES / f"{name}.png"
+    figure.savefig(drawn, dpi=60)
+    if os.environ.get("SNAKEJAX_NEW_PICTURES"):
+        PICTURES.mkdir(exist_ok=True)
+        shutil.copy(drawn, kept)
+    assert compare_images(str(kept), str(drawn), tol=TOLERANCE) is None
+
+
+def test_another_curve_is_seen_to_be_another(model, tmp_path) -> None:
+    """The comparison can fail: the same figure with its paths exchanged is told from the one that was kept."""
+    scenes = tuple(scene._replace(pose=scene.pose[:, [1, 0, 2]]) for scene in model.scenes)
+    figure = plot.paths([model._replace(scenes=scenes)])
+    figure.savefig(tmp_path / "paths.png", dpi=60)
+    assert compare_images(str(PICTURES / "paths.png"), str(tmp_path / "paths.png"), tol=TOLERANCE) is not None
+
+
+def test_figures_are_written_as_raster_and_as_vector_and_the_same_each_time(model, tmp_path) -> None:
+    first = [path.read_bytes() for path in plot.save(plot.paths([model]), tmp_path / "a", "paths")]
+    again = plot.save(plot.paths([model]), tmp_path / "b", "paths")
+    assert [path.suffix for path in again] == [".png", ".svg"]
+    assert first == [path.read_bytes() for path in again]
+    assert ElementTree.parse(again[1]).getroot().tag.endswith("svg")
+
+
+def test_every_effect_has_one_look_that_no_other_has() -> None:
+    looks = [look(name) for name in ("lateral_skid", *LIBRARY)]
+    assert len(set(looks)) >= min(len(looks), len(COLOURS) * len(DASHES))
+    assert not {BASE.colour, MEASURED.colour} & {one.colour for one in looks}
+    assert look("ground_slope") == look("ground_slope") and look("one_of_my_own") in {*looks, look("one_of_my_own")}
+
+
+def test_a_gif_plays_the_run_as_fast_as_it_was(model, tmp_path) -> None:
+    short = model._replace(scenes=(_cut(model.scenes[0], 60),))
+    told: list[tuple[int, int]] = []
+    film = plot.animate(short, small()[0].board, tmp_path / "a" / "run.gif", progress=lambda *n: told.append(n))
+    with Image.open(film) as picture:
+        frames = [picture.seek(k) or (picture.info["duration"], picture.copy()) for k in range(picture.n_frames)]
+    assert len(frames) == 12 and told[-1] == (12, 12)
+    assert sum(duration for duration, _ in frames) / 1000 == pytest.approx(0.6, rel=0.05)
+    assert np.asarray(frames[0][1].convert("L")).shape == np.asarray(frames[-1][1].convert("L")).shape
+    moved = np.abs(np.asarray(frames[0][1].convert("L"), int) - np.asarray(frames[-1][1].convert("L"), int))
+    assert (moved > 50).sum() > 20
+    assert [path.name for path in film.parent.iterdir()] == ["run.gif"]
+
+
+@pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="ffmpeg is not installed.")
+def test_an_mp4_plays(model, tmp_path) -> None:
+    short = model._replace(scenes=(_cut(model.scenes[0], 60),))
+    film = plot.animate(short, small()[0].board, tmp_path / "run.mp4")
+    said = subprocess.run(["ffmpeg", "-i", str(film), "-f", "null", "-"], capture_output=True, text=True).stderr
+    assert "Video: h264" in said and "Duration: 00:00:00.6" in said
+
+
+def test_a_film_that_cannot_be_made_is_refused_in_one_line(model, tmp_path, monkeypatch) -> None:
+    board = small()[0].board
+    with pytest.raises(InputError, match=r"cannot be written as `avi`.*take gif or mp4"):
+        plot.animate(model, board, tmp_path / "run.avi")
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    with pytest.raises(InputError, match=r"needs ffmpeg.*install ffmpeg, or write a GIF"):
+        plot.animate(model, board, tmp_path / "run.mp4")
+    with pytest.raises(ValueError, match="There is no run `nowhere`: take one of here, there"):
+        plot.board(model, board, "nowhere")
+    assert list(tmp_path.iterdir()) == []
+
+
+def _cut(scene, samples: int):
+    """The first `samples` of a scene."""
+    track = scene.track._replace(times=scene.track.times[:samples])
+    parts = ("seen", "pose", "steered", "rotor", "slip_speed")
+    return scene._replace(track=track, **{part: getattr(scene, part)[:samples] for part in parts})
