@@ -154,13 +154,16 @@ def work(
 
     def write(folder: Path) -> None:
         from .. import plot
+        from ..report import sweep_page
 
         say("drawing")
         write_whole(folder / "sweep.nc", bytes(found.to_netcdf(engine="scipy")))
+        write_whole(folder / "sweep.html", sweep_page(written))
         if not alone and (figure := plot.sweep(found, curve, subject.name)) is not None:
             plot.save(figure, folder, "sweep")
 
-    return Outcome(clean(result), _report(subject.name, found, curve, list(axes.coordinates)), write)
+    written = clean(result)
+    return Outcome(written, _report(subject.name, found, curve, list(axes.coordinates)), write)
 
 
 def _run(options: argparse.Namespace, case: Any) -> Any:
