@@ -109,11 +109,7 @@ def report_fit(
     say("drawing")
     model = played_fit(found)
     write_whole(folder / f"{options.command}.html", fit_page(case, noise, found, result, model))
-    try:
-        plot.save(plot.paths([model]), folder, "paths")
-        plot.save(plot.residuals(model), folder, "residuals")
-        plot.save(plot.tyre([model]), folder, "tyre")
-    except OSError as error:
-        what = f"Cannot write the figures ({error.strerror})"
-        raise InputError(what, str(folder), "name a folder you may write to") from None
+    plot.save(plot.paths([model]), folder, "paths")
+    plot.save(plot.residuals(model), folder, "residuals")
+    plot.save(plot.tyre([model]), folder, "tyre")
     films(options, model, found.study.model.board, folder, say)
