@@ -8,7 +8,7 @@ import pytest
 
 from snakejax._errors import InputError
 from snakejax.readers import read_joint_log, read_track
-from snakejax.readers.vicon_tracker import EULER, QUATERNION
+from snakejax.readers.vicon import EULER, QUATERNION
 
 FRAMES = 12
 MM = ("rad", "rad", "rad", "mm", "mm", "mm")
