@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from .._errors import InputError, at_line
-from . import vicon
+from . import c3d, motive, qualisys, trc, vicon
 from ._capture import Body as Body
 from ._capture import Capture as Capture
 from ._capture import Hints as Hints
@@ -15,7 +15,7 @@ from ._track import track_of as track_of
 from .joint_log import JointLog as JointLog
 from .joint_log import read_joint_log as read_joint_log
 
-FORMATS = (vicon,)
+FORMATS = (c3d, motive, qualisys, trc, vicon)
 NO_HINTS = Hints()
 
 

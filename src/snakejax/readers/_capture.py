@@ -58,7 +58,8 @@ class Hints(NamedTuple):
     """What a user says of a file that it does not say itself; None is what the format usually has.
 
     `columns` of a plain table by what they hold, `units` by "length", "angle" and "time", the axis that points `up`, or
-    its components, and where `markers` sit on the board, (x, y, z) [m] by name: x forward, z up, from the board's middle.
+    its components, and where `markers` sit on the board, (x, y, z) [m] by name from the
+    board's middle, x forward and z up.
     """
 
     columns: Mapping[str, str] | None = None

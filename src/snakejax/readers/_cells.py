@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._errors import InputError, at_line
+from ._capture import LONGEST_SKIP
 from ._text import number, split
 
 AT_ONCE = 4_000_000
@@ -94,7 +95,7 @@ def _one_by_one(rows: Rows, names: Sequence[str], blank: Sequence[str]) -> Float
     return found
 
 
-def whole_frames(values: Float[np.ndarray, " n"], rows: Rows, longest_skip: int) -> np.ndarray:
+def whole_frames(values: Float[np.ndarray, " n"], rows: Rows) -> np.ndarray:
     """Frame numbers as integers.
 
     **Raises:** `InputError` with its line where one is blank, not whole, not above the one before, or skips too many.
@@ -102,7 +103,7 @@ def whole_frames(values: Float[np.ndarray, " n"], rows: Rows, longest_skip: int)
     with np.errstate(invalid="ignore"):
         wrong = ~((values == np.round(values)) & (np.abs(values) < 2**53))
         step = np.diff(values)
-        bad = wrong | np.concatenate([[False], (step <= 0) | (step > longest_skip)])
+        bad = wrong | np.concatenate([[False], (step <= 0) | (step > LONGEST_SKIP)])
     if not bad.any():
         return values.astype(np.int64)
     row = int(bad.argmax())
@@ -111,7 +112,31 @@ def whole_frames(values: Float[np.ndarray, " n"], rows: Rows, longest_skip: int)
         raise InputError(f'The frame number "{cell}" is not whole', where, "number the frames 1, 2, 3, ...")
     before, frame = int(values[row - 1]), int(values[row])
     if frame > before:
-        what = f"The frame number jumps from {before} to {frame}, more than {longest_skip} frames"
+        what = f"The frame number jumps from {before} to {frame}, more than {LONGEST_SKIP} frames"
         raise InputError(what, where, "correct the number, or make two files of the two recordings")
     wrong_order = "comes twice" if frame == before else f"comes after frame {before}: time runs backwards"
     raise InputError(f"Frame {frame} {wrong_order}", where, "sort the rows by frame and keep one row for each")
+
+
+def ticks(
+    frames: Float[np.ndarray, " n"] | None, times: Float[np.ndarray, " n"] | None, rate: float, rows: Rows
+) -> np.ndarray:
+    """The frame of each row, counted in steps of 1/`rate`, by its number or, where that counts otherwise, its time.
+
+    **Raises:** `InputError` with its line where the two contradict each other, or a frame is not above the one before.
+    """
+    if frames is None:
+        frames = np.arange(len(rows.lines), dtype=float) if times is None else np.round((times - times[0]) * rate)
+    found = whole_frames(frames, rows)
+    if times is None:
+        return found
+    if (blank := np.flatnonzero(np.isnan(times))).size:
+        raise InputError("The time is blank", rows.where(int(blank[0])), "export the file again")
+    span = (times[-1] - times[0]) * rate
+    if abs(span - (found[-1] - found[0])) <= max(1.0, 1e-3 * span):
+        return found
+    by_time = (times - times[0]) * rate
+    if np.abs(by_time - np.round(by_time)).max() < 0.3:
+        return whole_frames(np.round(by_time), rows)
+    what = f"By its times the file has {(len(times) - 1) / (times[-1] - times[0]):.6g} frames per second, not {rate:g}"
+    raise InputError(what, rows.where(0), "correct the frame rate in its header, or its times")

@@ -65,8 +65,8 @@ def from_matrix(matrix: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 4"]:
     from scipy.spatial.transform import Rotation
 
     found = np.full((len(matrix), 4), np.nan)
-    there = np.isfinite(matrix).all(axis=(1, 2))
-    there[there] = np.abs(np.linalg.det(matrix[there]) - 1) < 3 * UNIT_LENGTH
+    with np.errstate(invalid="ignore", over="ignore"):
+        there = np.abs(np.linalg.det(matrix) - 1) < 3 * UNIT_LENGTH
     if there.any():
         found[there] = Rotation.from_matrix(matrix[there]).as_quat()
     return found

@@ -1,5 +1,6 @@
 """Joint logs: a CSV of the joint angles over time, commanded or measured."""
 
+import itertools
 from pathlib import Path
 from typing import NamedTuple
 
@@ -41,7 +42,7 @@ def read_joint_log(path: Path | str) -> JointLog:
     table = np.empty((len(filled), len(columns)))
     # Rows between two blank lines are read together; there are rarely any such lines.
     breaks = [0, *(np.flatnonzero(np.diff(filled) > 1) + 1).tolist(), len(filled)]
-    for start, stop in zip(breaks[:-1], breaks[1:], strict=True):
+    for start, stop in itertools.pairwise(breaks):
         part = lines[filled[start] - 1 : filled[stop - 1]]
         table[start:stop] = numbers(Rows(path, part, filled[start], separator, decimal), columns)
     if (blank := np.argwhere(np.isnan(table))).size:

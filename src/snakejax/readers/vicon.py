@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._errors import InputError, at_line
-from ._capture import ANGLE, LENGTH, LONGEST_SKIP, Body, Capture, Source, lost_together, on_grid
+from ._capture import ANGLE, LENGTH, Body, Capture, Source, lost_together, on_grid
 from ._cells import Rows, numbers, whole_frames
 from ._text import is_blank, number, separator_of, shown, split
 from ._turn import first_unlike_one, from_euler
@@ -180,7 +180,7 @@ def _values(section: Section) -> tuple[np.ndarray, Float[np.ndarray, "n c"]]:
     header = section.header[3]
     width = max(i for i, name in enumerate(header) if name) + 1
     values = numbers(section.rows, header[:width])
-    return whole_frames(values[:, 0], section.rows, LONGEST_SKIP), values
+    return whole_frames(values[:, 0], section.rows), values
 
 
 def _taken(values: Float[np.ndarray, "n c"], block: Block, titles: tuple[str, ...]) -> Float[np.ndarray, "n k"]:
