@@ -19,3 +19,12 @@ def recordings() -> Path:
     if not folder.is_dir():
         pytest.skip("The large recordings are not here: they belong in ../shared/recordings.")
     return folder
+
+
+@pytest.fixture(scope="session")
+def realdata() -> Path:
+    """The folder of real motion-capture exports, which lies beside the repository and does not travel with it."""
+    folder = Path(__file__).resolve().parents[2] / "shared" / "realdata"
+    if not folder.is_dir():
+        pytest.skip("The real exports are not here: they belong in ../shared/realdata.")
+    return folder

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from .._errors import InputError, at_line
-from . import c3d, motive, qualisys, trc, vicon
+from . import c3d, motive, parquet, plain, qualisys, trc, vicon
 from ._capture import Body as Body
 from ._capture import Capture as Capture
 from ._capture import Hints as Hints
@@ -12,11 +12,14 @@ from ._text import shown
 from ._track import FEWEST_SAMPLES as FEWEST_SAMPLES
 from ._track import Track as Track
 from ._track import track_of as track_of
+from ._write import write_csv as write_csv
+from ._write import write_tum as write_tum
 from .joint_log import JointLog as JointLog
 from .joint_log import read_joint_log as read_joint_log
 
-FORMATS = (c3d, motive, qualisys, trc, vicon)
+FORMATS = (c3d, parquet, motive, qualisys, trc, vicon, plain)
 NO_HINTS = Hints()
+KNOWN = "Vicon CSV, C3D, TRC, Motive CSV, Qualisys TSV, a ROS bag, or a table with named columns"
 
 
 def read_capture(path: Path | str, hints: Hints = NO_HINTS) -> Capture:
@@ -29,7 +32,7 @@ def read_capture(path: Path | str, hints: Hints = NO_HINTS) -> Capture:
         if reader.recognises(source):
             return reader.read(source)
     begins = shown(source.text.lstrip().split("\n")[0].strip())
-    remedy = "export it from Vicon Tracker as CSV, whose first row is Objects or Segments"
+    remedy = f"export it as one of {KNOWN}"
     raise InputError(f'No known format: the file begins with "{begins}"', at_line(path, 1), remedy)
 
 

@@ -9,11 +9,13 @@ from jaxtyping import Float
 
 from .._errors import InputError, instead_of
 from ._capture import Body, Capture, Hints
+from ._rigid import LEAST_SPREAD, Placed, placed
 from ._text import shown
-from ._turn import heading_of, unwrapped, upright
+from ._turn import AXES, heading_of, unwrapped, upright
 
 FEWEST_SAMPLES = 10
 FARTHEST = 1e9
+WORST_TEMPLATE = 0.2
 
 
 class Track(NamedTuple):
@@ -37,8 +39,50 @@ def body_of(capture: Capture, object: str, hints: Hints) -> Body:
         raise InputError(what, capture.where, "rename or remove all but one")
     if object in capture.bodies:
         return capture.bodies[object]
-    there = [*capture.bodies, *subjects(capture)]
-    raise InputError(f'There is no object "{shown(object)}" in the file', capture.where, listed(object, there))
+    if [*capture.bodies] == [""]:
+        return capture.bodies[""]  # A table of one body without a name: call it as you like.
+    if hints.markers:
+        return fitted(capture, object, hints)[0]
+    there = subjects(capture)
+    if object in there or (object and object in {name.rpartition(":")[0] for name in there}):
+        what = f'Of "{shown(object)}" the file has markers, and where they sit on the board it cannot say'
+        remedy = "give markers = {name = [x, y, z], ...} in m from the board's middle, or use `snakejax import`"
+        raise InputError(what, capture.where, remedy)
+    raise InputError(
+        f'There is no object "{shown(object)}" in the file',
+        capture.where,
+        listed(object, [name for name in (*capture.bodies, *there) if name]),
+    )
+
+
+def fitted(capture: Capture, object: str, hints: Hints) -> tuple[Body, Placed]:
+    """The body whose markers sit where `hints.markers` says, by name with or without that of `object` before it.
+
+    **Raises:** `InputError` where a marker is not there, there are too few, or they do not keep the template's shape.
+    """
+    assert hints.markers is not None
+    names = []
+    for name in hints.markers:
+        found = next((full for full in (f"{object}:{name}", name) if full in capture.markers), None)
+        if found is None or found in capture.doubled:
+            what = f'There is no marker "{shown(name)}"' if found is None else f'The marker "{shown(name)}" is doubled'
+            raise InputError(f"{what} in the file", capture.where, listed(name, [*capture.markers]))
+        names.append(found)
+    template = np.array([hints.markers[name] for name in hints.markers], float)
+    spread = float(np.sqrt(((template - template.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    if len(template) < 2 or spread < LEAST_SPREAD:
+        raise InputError("Two markers apart from each other are the least", capture.where, "give more under markers")
+    turn = upright(hints.up or capture.up)
+    points = np.stack([capture.markers[name] for name in names], axis=1)
+    place = placed(template, points @ turn.T, AXES["z"])
+    usual = float(np.nanmedian(place.residual)) if np.isfinite(place.residual).any() else 0.0
+    if usual > WORST_TEMPLATE * spread:
+        what = f"The markers are usually {1e3 * usual:.0f} mm off where the template has them"
+        raise InputError(what, capture.where, "measure where they sit on the board, in m, and check their names")
+    # The fit is made where z is up; a body keeps the axes of its file.
+    back = turn.T
+    rotation = np.concatenate([place.rotation[:, :3] @ back.T, place.rotation[:, 3:]], axis=1)
+    return Body(capture.times, place.position @ back.T, rotation, capture.where), place
 
 
 def subjects(capture: Capture) -> dict[str, list[str]]:

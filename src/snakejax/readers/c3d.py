@@ -1,5 +1,6 @@
-"""C3D, by ezc3d (extra `c3d`): markers. NaN, or a residual below zero, is lost; other residuals are not to be trusted."""
+"""C3D, by ezc3d (extra `c3d`): markers. NaN or a residual below zero is lost; other residuals are not to be trusted."""
 
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from ._turn import UPRIGHT
 
 MAGIC = 0x50
 BLOCK = 512
+SATURATED = 65535
 
 
 def recognises(source: Source) -> bool:
@@ -47,7 +49,7 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     import ezc3d
 
     file = ezc3d.c3d(str(path))
-    point, analog = (file["parameters"].get(group, {}) for group in ("POINT", "ANALOG"))
+    point = file["parameters"].get("POINT", {})
 
     def value(group: Any, name: str, usual: Any) -> Any:
         found = group.get(name, {}).get("value", [])
@@ -58,13 +60,9 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     points = np.moveaxis(seen[:3], 0, -1).copy()
     points[(residuals < 0) | ~np.isfinite(points).all(axis=-1)] = np.nan
     rate = float(value(point, "RATE", 0.0))
-    ratio = max(1, round(float(value(analog, "RATE", 0.0)) / rate)) if rate > 0 else 1
-    used = int(value(analog, "USED", 0))
-    width = 4 if float(value(point, "SCALE", -1.0)) < 0 else 2
-    needed = (4 * seen.shape[1] + used * ratio) * seen.shape[2] * width
-    begins = (int(value(point, "DATA_START", 2)) - 1) * BLOCK
-    if (size := path.stat().st_size) < begins + needed:
-        what = f"The C3D is cut short: its {seen.shape[2]} frames need {begins + needed} bytes, but it has {size}"
+    said = _frames_said(path, file["parameters"].get("TRIAL", {}))
+    if seen.shape[2] < said:
+        what = f"The C3D is cut short: its header says {said} frames, but {seen.shape[2]} are there"
         raise InputError(what, str(path), "copy or export it again")
     if not seen.shape[2]:
         raise InputError("The C3D has no frames", str(path), "export it again with its points")
@@ -78,3 +76,16 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         "up": str(value(point, "Y_SCREEN", "")).strip(),
     }
     return facts, {"points": points}
+
+
+def _frames_said(path: Path, trial: Any) -> int:
+    """How many frames the header has; ezc3d reports those it could read. Numbers above 65534 stand in TRIAL."""
+    with path.open("rb") as file:
+        first, last = struct.unpack("<HH", file.read(10)[6:])
+    if last < SATURATED:
+        return last - first + 1
+    ends = [trial.get(f"ACTUAL_{end}_FIELD", {}).get("value", []) for end in ("START", "END")]
+    if any(len(end) != 2 for end in ends):
+        return 0
+    first, last = (int(low) % 65536 + 65536 * (int(high) % 65536) for low, high in ends)
+    return last - first + 1
