@@ -149,3 +149,19 @@ def c3d(points, names, unit="mm", rate=RATE, up="+Z"):
     seen = np.isfinite(points).all(axis=2)
     numbers = np.concatenate([np.nan_to_num(points) * scale, np.where(seen, 0.0, -1.0)[..., None]], axis=2)
     return header + parameters + numbers.astype("<f4").tobytes()
+
+
+def tracker(motions, lost=()):
+    """Vicon Tracker: several objects with quaternions."""
+    names = ["", "", *(c for name in motions for c in (f"Global Angle {name}", *[""] * 6))]
+    rows = [
+        ["Objects"],
+        ["100"],
+        names,
+        ["Frame", "Sub Frame", *("RX", "RY", "RZ", "RW", "TX", "TY", "TZ") * len(motions)],
+    ]
+    rows += [["", "", *("", "", "", "", "mm", "mm", "mm") * len(motions)]]
+    columns = [np.column_stack([m.rotation.as_quat(), m.position * 1e3]) for m in motions.values()]
+    for i, row in enumerate(np.concatenate(columns, axis=1)):
+        rows.append([i + 1, 0, *([""] * len(row) if i in lost else map(float, row))])
+    return table(rows)

@@ -17,7 +17,7 @@ from ._gait import AbstractSignal, Gait, Logged, Sines, Tracked
 from ._recording import Case, Noise, Run
 from ._toml import Table, read_toml
 from ._units import Domain, require_x64
-from .readers import FEWEST_SAMPLES, read_joint_log, read_track
+from .readers import FEWEST_SAMPLES, UPRIGHT, Hints, read_joint_log, read_track
 
 SKIDS = ("free", "coupled")
 ROLES = ("train", "heldout")
@@ -38,7 +38,8 @@ ACTUATOR_KEYS = ("kp", "kd")
 PAYLOAD_KEYS = {"payload_kg": "kg", "payload_inertia_kgm2": "kg m^2"}
 JOINT_LOG_KEYS = ("file", "kind")
 JOINTS = ("phi", "psi", "phi_back")
-RUN_KEYS = ("role", "mocap", "object", *JOINTS, "joint_log", "window_s", *PAYLOAD_KEYS, "start")
+HINT_KEYS = ("columns", "units", "up", "markers")
+RUN_KEYS = ("role", "mocap", "object", *HINT_KEYS, *JOINTS, "joint_log", "window_s", *PAYLOAD_KEYS, "start")
 
 _RUNS = '[[runs]] with role = "train", mocap, object, phi and psi'
 _JOINT_LOG = 'joint_log = {file = "joints.csv", kind = "commanded"}'
@@ -134,8 +135,8 @@ def _name(row: Table) -> str:
 def _file(table: Table, key: str, folder: Path) -> Path:
     name = table.text(key, f'{key} = "file.csv"')
     path = folder / name
-    if not path.is_file():
-        there = sorted(p.relative_to(folder).as_posix() for p in folder.glob("*.csv"))
+    if not path.exists():
+        there = sorted(p.relative_to(folder).as_posix() for p in folder.iterdir() if p.name != "case.toml")
         close = difflib.get_close_matches(name, there, 1)
         remedy = f'write "{close[0]}" or add the file' if close else "add the file or correct its name"
         raise table.error(key, f'names "{name}", but there is no such file', remedy)
@@ -180,7 +181,8 @@ def _opposite(signal: Sines | Logged) -> Sines | Logged:
 
 
 def _run(row: Table, folder: Path, gait: Gait) -> Run:
-    track = read_track(_file(row, "mocap", folder), row.text("object", 'object = "subject:segment"'))
+    object = row.text("object", 'object = "subject:segment"')
+    track = read_track(_file(row, "mocap", folder), object, _hints(row))
     moving = "start" in row.values and row.choice("start", STARTS) == "moving"
     times, pose = track.times, track.pose
     if "window_s" in row.values:
@@ -191,6 +193,27 @@ def _run(row: Table, folder: Path, gait: Gait) -> Run:
     payload = [row.number(key, domain) if key in row.values else 0.0 for key, domain in domains.items()]
     times, pose, payload = (jnp.asarray(part, jnp.float64) for part in (times, pose, payload))
     return Run(_name(row), row.values["role"], times, pose, gait, payload, moving)
+
+
+def _hints(row: Table) -> Hints:
+    """What the run says of its file that the file does not say itself."""
+    columns, units = (
+        row.texts(key, example) if key in row.values else None
+        for key, example in (("columns", 'columns = {time = "name", ...}'), ("units", 'units = {length = "mm", ...}'))
+    )
+    markers = None
+    if "markers" in row.values:
+        example = "markers = {name = [x, y, z], ...}"
+        table = row.table("markers", example)
+        markers = {name: table.vector(name, 3, f"{name} = [x, y, z] in m") for name in table.values}
+    up = row.values.get("up")
+    if isinstance(up, list):
+        up = row.vector("up", 3, "up = [0.0, 0.0, 1.0]")
+        if not any(up):
+            raise row.error("up", "has no direction", 'write up = "z" or the components of what points up')
+    elif up is not None:
+        up = row.choice("up", tuple(UPRIGHT))
+    return Hints(columns, units, up, markers)
 
 
 def _windowed(
@@ -223,4 +246,15 @@ def _require_covered(row: Table, folder: Path, times: Sequence[float], slack: fl
 def _sha256(folder: Path, rows: list[Table]) -> dict[str, str]:
     logs = [row.values["joint_log"]["file"] for row in rows if "joint_log" in row.values]
     names = ["case.toml", *(row.values["mocap"] for row in rows), *logs]
-    return {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in names}
+    return {name: _digest(folder / name) for name in names}
+
+
+def _digest(path: Path) -> str:
+    """The SHA-256 of a file, or of the files of a folder one after the other by name, as a ROS 2 bag has them."""
+    files = [path] if path.is_file() else sorted(file for file in path.rglob("*") if file.is_file())
+    found = hashlib.sha256()
+    for name in files:
+        with name.open("rb") as file:
+            while block := file.read(1 << 20):
+                found.update(block)
+    return found.hexdigest()

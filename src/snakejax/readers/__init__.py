@@ -12,6 +12,7 @@ from ._text import shown
 from ._track import FEWEST_SAMPLES as FEWEST_SAMPLES
 from ._track import Track as Track
 from ._track import track_of as track_of
+from ._turn import UPRIGHT as UPRIGHT
 from ._write import write_csv as write_csv
 from ._write import write_tum as write_tum
 from .joint_log import JointLog as JointLog

@@ -17,11 +17,10 @@ AT_ONCE = 50_000
 # Weight of "the board's z points up" beside the markers: next to nothing, yet enough for two markers to fix a heading.
 UPRIGHT_WEIGHT = 1e-6
 LEAST_SPREAD = 0.005
-WORST_OVER_USUAL = 5.0
+WORST_OVER_BEST = 10.0
 LEAST_LIMIT = 0.001
 FEWEST_TO_TRUST = 3
 MOST_TO_TURN = 9
-MOST_FRAMES = 2000
 
 
 class Placed(NamedTuple):
@@ -100,9 +99,12 @@ def placed(
 
 
 def limit_of(residual: Float[np.ndarray, " n"]) -> float:
-    """Above what a frame does not fit: five times what frames usually have, but not below a millimetre."""
+    """Above what a frame does not fit: ten times what the best tenth of them has, but not below a millimetre.
+
+    The best tenth, as labels may be swapped in most frames; of the residual of three markers it is half the median.
+    """
     seen = residual[np.isfinite(residual)]
-    return max(WORST_OVER_USUAL * float(np.median(seen)), LEAST_LIMIT) if seen.size else np.inf
+    return max(WORST_OVER_BEST * float(np.quantile(seen, 0.1)), LEAST_LIMIT) if seen.size else np.inf
 
 
 def _changes(m: int) -> Iterator[tuple[list[list[int]], bool]]:
@@ -144,36 +146,3 @@ def _best(
             for mine, new in zip(best, found, strict=True):
                 mine[part][better] = new[better]
     return best
-
-
-def shape_of(points: Float[np.ndarray, "n m 3"]) -> Float[np.ndarray, "m 3"] | None:
-    """The rigid shape that the markers keep, its centroid at the origin, turned anyhow; None where they were too few.
-
-    From the median distance of each two markers by classical scaling, mirrored if that fits the frames better. Medians
-    do not mind that in some frames labels are swapped or missing.
-    """
-    seen = np.isfinite(points).all(axis=2)
-    chosen = np.flatnonzero(seen.sum(axis=1) >= min(3, points.shape[1]))
-    if not chosen.size:
-        return None
-    few = points[chosen[np.linspace(0, chosen.size - 1, min(chosen.size, MOST_FRAMES)).astype(int)]]
-    apart = np.linalg.norm(few[:, :, None] - few[:, None], axis=3)
-    together = np.asarray(np.isfinite(apart).any(axis=0))
-    if not together.all():
-        return None
-    D = np.nanmedian(apart, axis=0) ** 2
-    centre = np.eye(len(D)) - 1 / len(D)
-    values, vectors = np.linalg.eigh(-0.5 * centre @ D @ centre)
-    shape = vectors[:, -3:] * np.sqrt(np.maximum(values[-3:], 0.0))
-    shape = np.pad(shape, ((0, 0), (0, 3 - shape.shape[1])))
-    mirrored = shape * np.array([1.0, 1.0, -1.0])
-    off = [float(np.nanmedian(_residual(s, few))) for s in (shape, mirrored)]
-    return shape if off[0] <= off[1] else mirrored
-
-
-def _residual(shape: np.ndarray, points: np.ndarray) -> np.ndarray:
-    # Any direction will do for up: seen from above it, the markers are apart.
-    wide = np.linalg.svd(shape, full_matrices=True)[2]
-    if np.linalg.det(wide) < 0:
-        wide[2] *= -1
-    return kabsch(shape @ wide.T, points, np.zeros(3))[2]
