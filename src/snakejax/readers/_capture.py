@@ -111,3 +111,9 @@ def lost_together(values: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "n c"]:
     values = values.copy()
     values[np.isnan(values).any(axis=1)] = np.nan
     return values
+
+
+def repeated(names: Sequence[str]) -> tuple[str, ...]:
+    """The names that stand there already, in order, once for each time again."""
+    there: set[str] = set()
+    return tuple(name for name in names if name in there or there.add(name))  # type: ignore[func-returns-value]

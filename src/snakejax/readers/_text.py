@@ -109,6 +109,5 @@ def number(cell: str, name: str, where: str, decimal: str = ".") -> float:
 
 
 def shown(text: str, length: int = 40) -> str:
-    """`text` cut short for a complaint, without what a terminal would obey."""
-    text = "".join(sign if sign.isprintable() else "?" for sign in text[: length + 1])
+    """`text` cut short for a complaint."""
     return text if len(text) <= length else f"{text[:length]}..."

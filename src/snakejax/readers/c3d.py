@@ -8,7 +8,7 @@ import numpy as np
 
 from .._errors import InputError
 from ._apart import read_apart
-from ._capture import LENGTH, Capture, Source
+from ._capture import LENGTH, Capture, Source, repeated
 from ._text import shown
 from ._turn import UPRIGHT
 
@@ -35,7 +35,7 @@ def read(source: Source) -> Capture:
     points = arrays["points"]
     markers = {name: points[i] * LENGTH[unit] for i, name in reversed([*enumerate(names)])}
     times = np.arange(points.shape[1]) / facts["rate"]
-    doubled = tuple(name for i, name in enumerate(names) if name in names[:i])
+    doubled = repeated(names)
     up = facts["up"].lower().removeprefix("+")
     known = up in UPRIGHT
     ordered = {name: markers[name] for name in names}

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._errors import InputError, at_line
-from ._capture import LENGTH, Body, Capture, Source, lost_together, on_grid
+from ._capture import LENGTH, Body, Capture, Source, lost_together, on_grid, repeated
 from ._cells import Rows, numbers, ticks
 from ._text import is_blank, number, shown, split
 from ._turn import from_euler, from_matrix, require_unit
@@ -71,19 +71,21 @@ def read(source: Source) -> Capture:
     bodies: dict[str, Body] = {}
     markers: dict[str, np.ndarray] = {}
     for i, name in enumerate(names):
+        if name in markers or name in bodies:
+            continue
         block = lost_together(values[:, len(timed) + parts * i :][:, :parts])
         zero = (block[:, :3] == 0).all(axis=1)
         block[zero] = np.nan
         if key == "MARKER_NAMES":
-            markers.setdefault(name, on_grid(frames, block * LENGTH["mm"]))
-        elif name not in bodies:
+            markers[name] = on_grid(frames, block * LENGTH["mm"])
+        else:
             block[block[:, ANGLES] < 0] = np.nan
             rotation = _rotation(block)
             block[np.isnan(rotation).any(axis=1)] = np.nan
             require_unit(rotation, name, rows.where(0))
             where = rows.where(0)
             bodies[name] = Body(times, on_grid(frames, block[:, :3] * LENGTH["mm"]), on_grid(frames, rotation), where)
-    doubled = tuple(name for i, name in enumerate(names) if name in names[:i])
+    doubled = repeated(names)
     notes = []
     if (said := facts.get("NO_OF_FRAMES", [""])[0]) and said != str(len(values)):
         notes.append(f"its header says {shown(said)} frames, but {len(values)} are there")

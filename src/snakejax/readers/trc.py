@@ -11,7 +11,7 @@ Frame#  Time  front          back
 import numpy as np
 
 from .._errors import InputError, at_line
-from ._capture import LENGTH, Capture, Source, lost_together, on_grid
+from ._capture import LENGTH, Capture, Source, lost_together, on_grid, repeated
 from ._cells import Rows, numbers, ticks
 from ._text import is_blank, number, separator_of, shown, split
 
@@ -56,6 +56,6 @@ def read(source: Source) -> Capture:
     notes = []
     if (said := facts.get("NumFrames", "")) and said != str(len(values)):
         notes.append(f"its header says {shown(said)} frames, but {len(values)} are there")
-    doubled = tuple(name for i, name in enumerate(names) if name in names[:i])
+    doubled = repeated(names)
     where = at_line(path, 4)
     return Capture("TRC", path, where, rate, unit, {}, markers, times, doubled=doubled, notes=notes)
