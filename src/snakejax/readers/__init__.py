@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from .._errors import InputError, at_line
-from . import c3d, motive, parquet, plain, qualisys, trc, vicon
+from . import c3d, motive, parquet, plain, qualisys, ros_bag, trc, vicon
 from ._capture import Body as Body
 from ._capture import Capture as Capture
 from ._capture import Hints as Hints
@@ -18,7 +18,7 @@ from ._write import write_tum as write_tum
 from .joint_log import JointLog as JointLog
 from .joint_log import read_joint_log as read_joint_log
 
-FORMATS = (c3d, parquet, motive, qualisys, trc, vicon, plain)
+FORMATS = (ros_bag, c3d, parquet, motive, qualisys, trc, vicon, plain)
 NO_HINTS = Hints()
 KNOWN = "Vicon CSV, C3D, TRC, Motive CSV, Qualisys TSV, a ROS bag, or a table with named columns"
 

@@ -21,7 +21,7 @@ from ._text import shown
 MEMORY = 1 << 30
 MEMORY_A_BYTE = 24
 SECONDS = 9.0
-BYTES_A_SECOND = 2e6
+BYTES_A_SECOND = 1e6
 _CHILD = "from snakejax.readers._apart import child; child()"
 
 
