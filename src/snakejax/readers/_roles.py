@@ -60,7 +60,7 @@ def columns_of(names: Sequence[str], units: Sequence[str], hints: Hints, where: 
     if ("", "time") not in found or not placed:
         listed = ", ".join(shown(name, 20) for name in names[:10]) + (", ..." if len(names) > 10 else "")
         what = f"The names of the columns do not tell time, x, y and their units: {listed}"
-        raise InputError(what, where, f"say which they are, with {_EXAMPLE}")
+        raise InputError(what, where, f"say which they are: {_EXAMPLE} in case.toml, or option --columns")
     return [c for (object, role), c in found.items() if object in placed or role == "time"], [*used]
 
 

@@ -52,7 +52,7 @@ def read(source: Source) -> Capture:
         raise InputError("The Qualisys file ends before its first frame", at_line(path, at), "export it again")
     decimal = "," if re.search(r"\d,\d", lines[at]) else "."
     rows = Rows(path, lines[at:], at + 1, "\t", decimal)
-    width = max(i for i, cell in enumerate(rows.cells(0)) if cell) + 1
+    width = max((i for i, cell in enumerate(rows.cells(0)) if cell), default=-1) + 1
     timed = [title for title in titles[:2] if title in ("Frame", "Time")]
     names = facts[key]
     parts = 3 if key == "MARKER_NAMES" else len(BODY_COLUMNS)
