@@ -7,7 +7,7 @@ and nothing read it is what the first row says.
 """
 
 import os
-import resource
+import re
 import subprocess
 import sys
 import tempfile
@@ -122,7 +122,13 @@ def measured(work: str, path: str) -> None:
             more = ", ".join(f"{name} {e.value:.4g}" for name, e in found.estimates.items())
             more += f", misfit {found.train_score.misfit:.4f}"
     seconds = time.perf_counter() - begun
-    print(f"{seconds:9.1f} s {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:9.0f} MiB  {more}")
+    print(f"{seconds:9.1f} s {peak():9.0f} MiB  {more}")
+
+
+def peak() -> float:
+    """The most memory [MiB] this process ever held. What `getrusage` says includes the process that started it."""
+    status = Path("/proc/self/status").read_text()
+    return int(re.search(r"VmHWM:\s+(\d+)", status)[1]) / 1024
 
 
 def main() -> None:

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from .._errors import InputError, at_line
 from ._capture import LONGEST_SKIP
-from ._text import number, split
+from ._text import LARGEST, number, split
 
 AT_ONCE = 4_000_000
 _NUMERIC = b"0123456789+-.eE,"
@@ -75,7 +75,7 @@ def _all_at_once(rows: Rows, width: int) -> Float[np.ndarray, "n c"] | None:
             values = np.fromstring(raw, sep=",")
     except (ValueError, DeprecationWarning):
         return None
-    if values.size != len(rows.lines) * wide or np.isinf(values).any():
+    if values.size != len(rows.lines) * wide or (np.abs(values) > LARGEST).any():
         return None
     values = values.reshape(-1, wide)
     return values[:, :width] if np.isnan(values[:, width:]).all() else None

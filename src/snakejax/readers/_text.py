@@ -14,6 +14,7 @@ MARKS = (
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
+LARGEST = 1e100
 _NOT_ASCII = re.compile(rb"[\w\x80-\xff]*[\x80-\xff][\w\x80-\xff]*")
 _LETTER = re.compile(rb"[A-Za-z]")
 # What Latin-1 and Windows agree on: the letters, and the signs of degree, square, cube and micro.
@@ -94,7 +95,7 @@ def is_blank(line: str) -> bool:
 def number(cell: str, name: str, where: str, decimal: str = ".") -> float:
     """The finite number in a cell, or NaN for a blank one.
 
-    **Raises:** `InputError` for anything else, "nan" and "inf" among it.
+    **Raises:** `InputError` for anything else, "nan" and "inf" among it, and numbers that no recording can hold.
     """
     if not cell:
         return math.nan
@@ -104,7 +105,9 @@ def number(cell: str, name: str, where: str, decimal: str = ".") -> float:
         value = math.nan
     if not math.isfinite(value):
         remedy = "write a finite number, or leave the cells of a lost frame blank"
-        raise InputError(f'"{shown(cell)}" for {name} is not a finite number', where, remedy)
+        raise InputError(f'"{shown(cell)}" for {shown(name)} is not a finite number', where, remedy)
+    if abs(value) > LARGEST:
+        raise InputError(f'"{shown(cell)}" for {shown(name)} is too large', where, "correct it, or leave it blank")
     return value
 
 

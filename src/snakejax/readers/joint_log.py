@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from .._errors import InputError, at_line, instead_of
 from ._cells import Rows, numbers
-from ._text import is_blank, read_text, separator_of, split
+from ._text import is_blank, read_text, separator_of, shown, split
 
 REQUIRED = ("time_s", "phi_rad", "psi_rad")
 OPTIONAL = ("phi_back_rad",)
@@ -62,7 +62,7 @@ def _columns(header: list[str], path: Path) -> list[str]:
     for i, name in enumerate(header):
         if name not in REQUIRED + OPTIONAL or name in header[:i]:
             remedy = "remove it" if name in header[:i] else instead_of(name, REQUIRED + OPTIONAL)
-            raise InputError(f'Extra column "{name}"', at_line(path, 1), remedy)
+            raise InputError(f'Extra column "{shown(name)}"', at_line(path, 1), remedy)
     for name in REQUIRED:
         if name not in header:
             raise InputError(f"Missing column {name}", at_line(path, 1), f"the first row is {','.join(REQUIRED)}")
