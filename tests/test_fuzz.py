@@ -51,6 +51,7 @@ SYNTHETIC = {
     "log": LOG,
 }
 REAL = ("pyomeca_markers.csv", "pyomeca_markers.trc", "optitrack_motive_1.21.csv", "dart_car_racetrack_lap_060.csv")
+REAL_C3D = ("optitrack_walking.c3d", "pyomeca_markers_analogs.c3d", "sample_static_optotrak.c3d")
 
 
 @contextmanager
@@ -188,6 +189,16 @@ def test_damaged_real_files(tmp_path, realdata, name, made):
     path = tmp_path / "file"
     path.write_bytes(damaged((realdata / name).read_bytes(), made))
     survives(path, Hints(columns=MAP))
+
+
+@pytest.mark.parametrize("name", REAL_C3D)
+@settings(few, max_examples=LONG or 3)
+@given(made=changes)
+def test_damaged_real_c3d(tmp_path, realdata, name, made):
+    pytest.importorskip("ezc3d")
+    path = tmp_path / "file"
+    path.write_bytes(damaged((realdata / name).read_bytes(), made))
+    survives(path)
 
 
 @settings(few, max_examples=LONG or 12)

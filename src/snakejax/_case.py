@@ -14,10 +14,11 @@ import numpy as np
 from ._board import Board
 from ._errors import InputError
 from ._gait import AbstractSignal, Gait, Logged, Sines, Tracked
+from ._hints import HINT_KEYS, hints_of
 from ._recording import Case, Noise, Run
 from ._toml import Table, read_toml
 from ._units import Domain, require_x64
-from .readers import FEWEST_SAMPLES, UPRIGHT, Hints, read_joint_log, read_track
+from .readers import FEWEST_SAMPLES, read_joint_log, read_track
 
 SKIDS = ("free", "coupled")
 ROLES = ("train", "heldout")
@@ -38,7 +39,6 @@ ACTUATOR_KEYS = ("kp", "kd")
 PAYLOAD_KEYS = {"payload_kg": "kg", "payload_inertia_kgm2": "kg m^2"}
 JOINT_LOG_KEYS = ("file", "kind")
 JOINTS = ("phi", "psi", "phi_back")
-HINT_KEYS = ("columns", "units", "up", "markers")
 RUN_KEYS = ("role", "mocap", "object", *HINT_KEYS, *JOINTS, "joint_log", "window_s", *PAYLOAD_KEYS, "start")
 
 _RUNS = '[[runs]] with role = "train", mocap, object, phi and psi'
@@ -182,7 +182,7 @@ def _opposite(signal: Sines | Logged) -> Sines | Logged:
 
 def _run(row: Table, folder: Path, gait: Gait) -> Run:
     object = row.text("object", 'object = "subject:segment"')
-    track = read_track(_file(row, "mocap", folder), object, _hints(row))
+    track = read_track(_file(row, "mocap", folder), object, hints_of(row))
     moving = "start" in row.values and row.choice("start", STARTS) == "moving"
     times, pose = track.times, track.pose
     if "window_s" in row.values:
@@ -193,27 +193,6 @@ def _run(row: Table, folder: Path, gait: Gait) -> Run:
     payload = [row.number(key, domain) if key in row.values else 0.0 for key, domain in domains.items()]
     times, pose, payload = (jnp.asarray(part, jnp.float64) for part in (times, pose, payload))
     return Run(_name(row), row.values["role"], times, pose, gait, payload, moving)
-
-
-def _hints(row: Table) -> Hints:
-    """What the run says of its file that the file does not say itself."""
-    columns, units = (
-        row.texts(key, example) if key in row.values else None
-        for key, example in (("columns", 'columns = {time = "name", ...}'), ("units", 'units = {length = "mm", ...}'))
-    )
-    markers = None
-    if "markers" in row.values:
-        example = "markers = {name = [x, y, z], ...}"
-        table = row.table("markers", example)
-        markers = {name: table.vector(name, 3, f"{name} = [x, y, z] in m") for name in table.values}
-    up = row.values.get("up")
-    if isinstance(up, list):
-        up = row.vector("up", 3, "up = [0.0, 0.0, 1.0]")
-        if not any(up):
-            raise row.error("up", "has no direction", 'write up = "z" or the components of what points up')
-    elif up is not None:
-        up = row.choice("up", tuple(UPRIGHT))
-    return Hints(columns, units, up, markers)
 
 
 def _windowed(

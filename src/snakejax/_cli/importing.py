@@ -2,12 +2,12 @@
 
 import argparse
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .._errors import InputError
-from ._options import add_command, assignments, names
+from ._options import add_command, assignments
+from ._places import ask, places
 
 if TYPE_CHECKING:
     from .._import import Wanted
@@ -128,20 +128,10 @@ def _object(options: argparse.Namespace, capture: "Capture") -> str | None:
         return there[0]
     if not (options.out or (options.to or "").endswith(".tum")):
         return None
-    answer = _ask(options, f"Which object is the board? {', '.join(there[:12])}")
+    answer = ask(options, f"Which object is the board? {', '.join(there[:12])}")
     if answer in there:
         return answer
     raise InputError(f"There are {len(there)} objects", capture.where, f"say which, with --object {there[0]}")
-
-
-def _ask(options: argparse.Namespace, question: str) -> str:
-    """An answer from the terminal; empty where there is none, or nobody is there to be asked."""
-    if options.quiet or not (sys.stdin.isatty() and sys.stdout.isatty()):
-        return ""
-    try:
-        return input(f"{question}: ").strip()
-    except EOFError:
-        return ""
 
 
 def _convert(options: argparse.Namespace, capture: "Capture", hints: "Hints", wanted: str | None) -> None:
@@ -151,7 +141,7 @@ def _convert(options: argparse.Namespace, capture: "Capture", hints: "Hints", wa
     if wanted is not None and hints.up is None:
         hints = hints._replace(up=up_of(capture, ground(capture, wanted)))
     if wanted is not None and wanted not in capture.bodies:
-        hints = hints._replace(markers=_places(options, capture, hints, wanted))
+        hints = hints._replace(markers=places(options, capture, hints, wanted))
     path = Path(options.to)
     body = wanted is not None and (wanted in capture.bodies or hints.markers is not None)
     if path.suffix == ".tum":
@@ -167,51 +157,6 @@ def _convert(options: argparse.Namespace, capture: "Capture", hints: "Hints", wa
         print(f"wrote {path}")
 
 
-def _places(
-    options: argparse.Namespace, capture: "Capture", hints: "Hints", wanted: str
-) -> dict[str, Sequence[float]] | None:
-    """Where the markers of `wanted` sit on the board, by --template or --front and --back; None where nobody says."""
-    from .._import import places_of
-    from ..readers._track import subjects
-
-    if options.template:
-        return _template(Path(options.template))
-    of = subjects(capture)[wanted]
-    prefix = f"{wanted}:" if wanted else ""
-    front, back = (names(getattr(options, end)) for end in ("front", "back"))
-    if front is None or back is None:
-        short = ", ".join(name.removeprefix(prefix) for name in of[:24])
-        front = names(_ask(options, f"Which markers are at the front of the board? {short}")) or None
-        back = names(_ask(options, "and at the back")) if front else None
-    if not front or not back:
-        return None
-    chosen = names(options.markers)
-    full = [[name if name in of else prefix + name for name in some] for some in (chosen or of, front, back)]
-    for name in full[0]:
-        if name not in capture.markers:
-            raise InputError(f'There is no marker "{name}"', "option --markers", f"the markers are {', '.join(of)}")
-    return {**places_of(capture, *full, up=hints.up or capture.up)}
-
-
-def _template(path: Path) -> dict[str, Sequence[float]]:
-    from .._errors import at_line
-    from ..readers._text import number, read_text, separator_of, split
-
-    text = read_text(path)
-    separator, decimal = separator_of(text)
-    header, *rows = [split(line, separator) for line in text.split("\n")]
-    if header != ["marker", "x_m", "y_m", "z_m"]:
-        raise InputError("The template does not begin with its columns", at_line(path, 1), "write marker,x_m,y_m,z_m")
-    found: dict[str, Sequence[float]] = {}
-    for line, row in enumerate(rows, 2):
-        if not any(row):
-            continue
-        if len(row) != 4 or not all(row):
-            raise InputError(f"The row has {len(row)} cells", at_line(path, line), "write marker,x_m,y_m,z_m")
-        found[row[0]] = [number(cell, "a place", at_line(path, line), decimal) for cell in row[1:]]
-    return found
-
-
 def _add(options: argparse.Namespace, capture: "Capture", hints: "Hints", wanted: str | None) -> None:
     from .._import import add_run
     from .._understand import ground, up_of
@@ -220,7 +165,7 @@ def _add(options: argparse.Namespace, capture: "Capture", hints: "Hints", wanted
     if hints.up is None:
         hints = hints._replace(up=up_of(capture, ground(capture, wanted)))
     if wanted not in capture.bodies:
-        hints = hints._replace(markers=_places(options, capture, hints, wanted))
+        hints = hints._replace(markers=places(options, capture, hints, wanted))
     folder = Path(options.out)
     board = _measures(options, (folder / "case.toml").exists())
     title = folder.resolve().name
@@ -240,7 +185,7 @@ def _measures(options: argparse.Namespace, there: bool) -> dict[str, float]:
     if there:
         return found
     for key, question in _ASKED.items():
-        if key not in found and (answer := _ask(options, question)):
+        if key not in found and (answer := ask(options, question)):
             found |= assignments(f"{key}={answer}", "the answer")
     return found
 
