@@ -1,7 +1,7 @@
 """Many cells at once: the numbers of a table's rows, with the line of the first one that is none."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,6 +29,12 @@ class Rows(NamedTuple):
         """The file and line of a row."""
         return at_line(self.path, self.first + row)
 
+    def parts(self, width: int) -> Iterator[tuple[int, "Rows"]]:
+        """The rows a part at a time, and the first row of each, so that what is made of the text stays small."""
+        step = max(1, AT_ONCE // max(1, 10 * width))
+        for start in range(0, len(self.lines), step):
+            yield start, self._replace(lines=self.lines[start : start + step], first=self.first + start)
+
     def cells(self, row: int) -> list[str]:
         """The stripped cells of a row."""
         return split(self.lines[row], self.separator)
@@ -42,16 +48,13 @@ def numbers(rows: Rows, names: Sequence[str], blank: Sequence[str] = ()) -> Floa
     **Raises:** `InputError` for a row too short or too long, and for a cell that is no finite number, with its line.
     """
     found = np.empty((len(rows.lines), len(names)))
-    # Rows are read in parts, so that what is made of the text on the way stays small.
-    step = max(1, AT_ONCE // max(1, 10 * len(names)))
-    for start in range(0, len(rows.lines), step):
-        part = Rows(rows.path, rows.lines[start : start + step], rows.first + start, rows.separator, rows.decimal)
-        values = _all_at_once(part, len(names))
-        found[start : start + step] = _one_by_one(part, names, blank) if values is None else values
+    for start, part in rows.parts(len(names)):
+        values = all_at_once(part, len(names))
+        found[start : start + len(part.lines)] = _one_by_one(part, names, blank) if values is None else values
     return found
 
 
-def _all_at_once(rows: Rows, width: int) -> Float[np.ndarray, "n c"] | None:
+def all_at_once(rows: Rows, width: int) -> Float[np.ndarray, "n c"] | None:
     """The numbers, where the cells are numbers or blank and nothing else, and as many in each row; else None."""
     wide = rows.lines[0].count(rows.separator) + 1
     if wide < width or wide > 2 * width + 8 or any(line.count(rows.separator) + 1 != wide for line in rows.lines):

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from .._errors import InputError, at_line
 from ._capture import ANGLE, LENGTH, TIME, Capture, Source
-from ._cells import Rows, numbers
+from ._cells import Rows, all_at_once, numbers
 from ._roles import LOST, capture_of, columns_of
 from ._text import is_blank, separator_of, shown, split
 
@@ -82,6 +82,11 @@ def _values(
     rows: Rows, names: list[str], indices: list[int], wanted: dict[str, int]
 ) -> tuple[dict[int, Float[np.ndarray, " n"]], np.ndarray | None]:
     """The numbers of the columns `indices`, and the names in the column of objects. Other columns may hold anything."""
+    if "object" not in wanted:
+        found = [all_at_once(part, len(names)) for _, part in rows.parts(len(names))]
+        whole = [values[:, indices] for values in found if values is not None]
+        if len(whole) == len(found):
+            return dict(zip(indices, np.concatenate(whole).T, strict=True)), None
     need = max(wanted.values())
     label, clock = wanted.get("object"), wanted["time"]
     kept, labels, dates = [], [], []
@@ -96,8 +101,8 @@ def _values(
         kept.append("\t".join("" if cells[i] in LOST else cells[i] for i in indices))
         if label is not None:
             labels.append(cells[label])
-    found = numbers(Rows(rows.path, kept, rows.first, "\t", rows.decimal), [names[i] for i in indices])
-    values = dict(zip(indices, found.T, strict=True))
+    table = numbers(Rows(rows.path, kept, rows.first, "\t", rows.decimal), [names[i] for i in indices])
+    values = dict(zip(indices, table.T, strict=True))
     if dates:
         values[clock] = _seconds(dates, rows)
     return values, np.array(labels) if label is not None else None
