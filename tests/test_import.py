@@ -43,7 +43,10 @@ def test_it_shows_what_it_understood(tmp_path, capsys):
 def test_a_case_that_is_ready(tmp_path, capsys):
     m = motion(200)
     imported(put(tmp_path, motive(m)), "--out", tmp_path / "case", *GIVEN)
-    imported(put(tmp_path, motive(m), "other.csv"), "--out", tmp_path / "case", *GIVEN, "--role", "heldout")
+    more = put(tmp_path, motive(m), "other.csv")
+    assert main(["import", more, "--out", str(tmp_path / "case"), *GIVEN]) == 2
+    assert "has its board" in capsys.readouterr().err
+    imported(more, "--out", tmp_path / "case", *GIVEN[2:], "--phi-back", SINES, "--role", "heldout")
     case = load_case(tmp_path / "case")
     assert [(run.name, run.role) for run in case.runs] == [("take", "train"), ("other", "heldout")]
     assert float(case.board.mass) == 7 and case.title == "case"

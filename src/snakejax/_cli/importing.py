@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from .._errors import InputError
 from ._options import add_command, assignments
 from ._places import ask, places
+from ._setup import progress
 
 if TYPE_CHECKING:
     from .._import import Wanted
@@ -57,6 +58,7 @@ def add(commands: Any) -> None:
     joints.add_argument("--front-wheelset", metavar="NAME", help="its object")
     joints.add_argument("--back-wheelset", metavar="NAME", help="its object, where the back is steered by itself")
     joints.add_argument("--phi", metavar="SINES", help="commanded steering: [[amplitude, frequency, phase], ...]")
+    joints.add_argument("--phi-back", metavar="SINES", help="of the back, where it is steered by itself")
     joints.add_argument("--psi", metavar="SINES", help="commanded rotor, likewise")
     command.add_argument("--board", metavar="SET", action="append", help="mass_kg=7,half_length_m=0.25,...")
     command.add_argument("--json", metavar="FILE", help="write what was understood there; - for standard output")
@@ -71,7 +73,14 @@ def run(options: argparse.Namespace) -> int:
     hints = _hints(options)
     if options.to and (options.out or len(options.files) > 1):
         raise InputError("One FILE is converted at a time, without --out", "option --to", "run it again for the others")
-    captures = [read_capture(path, hints) for path in options.files]
+    if options.out and options.board and (Path(options.out) / "case.toml").exists():
+        where = f"option --board {','.join(options.board)}"
+        raise InputError("The case is there already, and has its board", where, "change it in its case.toml")
+    captures = []
+    with progress(options.quiet) as say:
+        for done, path in enumerate(options.files):
+            say(f"reading {path}", done, len(options.files))
+            captures.append(read_capture(path, hints))
     if options.json is not None:
         from .._json import as_text, write_whole
 
@@ -196,7 +205,7 @@ def _run(options: argparse.Namespace, hints: "Hints", wanted: str) -> "Wanted":
     from .._import import Joints, Wanted
 
     gait = {}
-    for key in ("phi", "psi"):
+    for key in ("phi", "psi", "phi_back"):
         if (text := getattr(options, key)) is None:
             continue
         try:
@@ -207,7 +216,7 @@ def _run(options: argparse.Namespace, hints: "Hints", wanted: str) -> "Wanted":
             whole = False
         if not whole:
             example = "write [[amplitude, frequency, phase], ...], as in [[0.9, 4.0, 0.0]]"
-            raise InputError(f"`{text}` is no list of sines", f"option --{key}", example)
+            raise InputError(f"`{text}` is no list of sines", f"option --{key.replace('_', '-')}", example)
     return Wanted(wanted, options.role, hints, Joints(*(getattr(options, name) for name in JOINTS)), gait)
 
 
