@@ -174,6 +174,16 @@ def test_a_tilted_floor_is_levelled(tmp_path):
     np.testing.assert_allclose(np.diff(pose[:, 2]), np.diff(m.heading), atol=1e-6)
 
 
+def test_a_plane_that_is_no_floor_is_said(tmp_path, capsys):
+    """Somebody carries the board up some stairs."""
+    m = motion(300)
+    lean = Rotation.from_rotvec([0.5, 0.0, 0])
+    climbing = m._replace(position=lean.apply(m.position), rotation=lean * m.rotation)
+    imported(put(tmp_path, tracker({"board": climbing})), "--out", tmp_path / "case", *GIVEN)
+    assert "28.6 degrees off, which is no floor: --up" in capsys.readouterr().out
+    assert "up =" not in (tmp_path / "case" / "case.toml").read_text()
+
+
 def test_a_map_of_columns_goes_into_the_case(tmp_path):
     m = motion(200)
     rows = [["clock", "pos x", "pos y", "turn"]]

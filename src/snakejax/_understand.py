@@ -10,7 +10,7 @@ from .readers import Capture
 from .readers._ground import Ground, arms, ground_of
 from .readers._track import subjects
 
-LEAST_TILT = np.deg2rad(0.5)
+LEAST_TILT, MOST_TILT = np.deg2rad(0.5), np.deg2rad(10.0)
 MOST_LISTED = 24
 LEAST_SHARE = 0.8
 
@@ -50,9 +50,16 @@ def _share(position: Float[np.ndarray, "n 3"]) -> float:
     return float(np.isfinite(position[:, 0]).mean()) if len(position) else 0.0
 
 
+def is_floor(capture: Capture, found: Ground) -> bool:
+    """Whether the plane of motion may be the floor: it lies across the axis the file says is up, or nearly across some
+    axis where the file does not say.
+    """
+    return found.tilt < MOST_TILT and (found.axis == capture.up or not capture.up_known)
+
+
 def up_of(capture: Capture, found: Ground | None) -> str | list[float] | None:
     """Which way is up by the motion, as case.toml says it; None where the file's own, or its format's, will do."""
-    if found is None or (capture.up_known and found.tilt < LEAST_TILT):
+    if found is None or not is_floor(capture, found):
         return None
     if found.tilt >= LEAST_TILT:
         return [round(float(part), 6) for part in found.up]
@@ -93,13 +100,18 @@ def understood(capture: Capture, grounds: Mapping[str, Ground | None]) -> str:
     for name, of in subjects(capture).items():
         lines.append(f"  markers  {name or '(of no object)'}: {_listed(capture, of)}")
     for name, found in grounds.items():
-        known = "as the file says" if capture.up_known else f"as {capture.format} usually has it"
-        if found is None:
-            lines.append(f"  up       {capture.up}, {known}; the motion of {name or 'the object'} does not show it")
-        else:
-            lines.append(f"  up       {found.axis}: the plane in which {name or 'the object'} moves lies across it")
-            lines[-1] += f", {np.degrees(found.tilt):.1f} degrees off" if found.tilt >= LEAST_TILT else ""
+        lines.append(f"  up       {_way_up(capture, name or 'the object', found)}")
     return "\n".join([*lines, *(f"  note     {note}" for note in capture.notes)])
+
+
+def _way_up(capture: Capture, name: str, found: Ground | None) -> str:
+    usual = f"{capture.up}, as {'the file says' if capture.up_known else f'{capture.format} usually has it'}"
+    if found is None:
+        return f"{usual}; the motion of {name} does not show it"
+    tilt = f", {np.degrees(found.tilt):.1f} degrees off" if found.tilt >= LEAST_TILT else ""
+    if not is_floor(capture, found):
+        return f"{usual}; {name} moves in a plane across {found.axis}{tilt}, which is no floor: --up says otherwise"
+    return f"{found.axis}: the plane in which {name} moves lies across it{tilt}"
 
 
 def _said(part: Seen) -> str:
