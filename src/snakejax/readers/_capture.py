@@ -9,12 +9,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from .._errors import InputError, at_line
 from ._text import is_blank, read_text
 
 LENGTH = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254, "ft": 0.3048}
 ANGLE = {"rad": 1.0, "deg": math.pi / 180}
 TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
 LONGEST_SKIP = 100_000
+MOST_COLUMNS, HEADER_LINES = 30_000, 40
 
 
 class Body(NamedTuple):
@@ -90,10 +92,14 @@ class Source:
 
     @functools.cached_property
     def lines(self) -> list[str]:
-        """The lines of the text, without blank ones at the end."""
+        """The lines of the text, without blank ones at the end. **Raises:** `InputError` for absurdly many columns."""
         lines = self.text.split("\n")
         while is_blank(lines[-1]):
             lines.pop()
+        for i, line in enumerate(lines[:HEADER_LINES]):
+            if (wide := max(line.count(mark) for mark in ",;\t")) > MOST_COLUMNS:
+                what = f"The line has {wide + 1} cells, but a recording has at most {MOST_COLUMNS}"
+                raise InputError(what, at_line(self.path, i + 1), "export only the objects that matter")
         return lines
 
 

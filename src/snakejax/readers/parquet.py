@@ -7,11 +7,10 @@ import numpy as np
 
 from .._errors import InputError
 from ._apart import read_apart
-from ._capture import Capture, Source
+from ._capture import MOST_COLUMNS, Capture, Source
 from ._roles import capture_of, columns_of
 
 MAGIC = b"PAR1"
-MOST_COLUMNS = 10_000
 
 
 def recognises(source: Source) -> bool:
