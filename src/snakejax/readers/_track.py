@@ -44,7 +44,7 @@ def body_of(capture: Capture, object: str, hints: Hints) -> Body:
     if hints.markers:
         return fitted(capture, object, hints)[0]
     there = subjects(capture)
-    if object in there or (object and object in {name.rpartition(":")[0] for name in there}):
+    if object in there or ("" in there and not capture.bodies):
         what = f'Of "{shown(object)}" the file has markers, and where they sit on the board it cannot say'
         remedy = "give markers = {name = [x, y, z], ...} in m from the board's middle, or use `snakejax import`"
         raise InputError(what, capture.where, remedy)
