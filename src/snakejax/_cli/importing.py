@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 _EPILOG = """\
   snakejax import take.csv
   snakejax import take.csv --object board --out my-case
-  snakejax import trial.c3d --object board --front nose --back tail --out my-case
-  snakejax import lap.csv --columns "time=t,x=pos x,y=pos y,heading=yaw" --to lap.tum"""
+  snakejax import trial.c3d --object board --front nose --back tail --out case
+  snakejax import lap.csv --columns "time=t,x=px,y=py,heading=yaw" --to lap.tum"""
 JOINTS = ("rotor", "front_wheelset", "back_wheelset")
 _ASKED = {
     "mass_kg": "mass of all of it [kg]",
@@ -35,9 +35,9 @@ def add(commands: Any) -> None:
         "import",
         run,
         "show what a recording holds, and make a case of it",
-        "Show what a recording of any known format holds; convert it with --to, or make a\n"
-        "case of it with --out. Formats: Vicon CSV, C3D, TRC, Motive CSV, Qualisys TSV, ROS\n"
-        "bags, plain CSV, Parquet, TUM; each is recognised from its content.",
+        "Show what a recording of any known format holds; convert it with --to, or make\n"
+        "a case of it with --out. Formats: Vicon CSV, C3D, TRC, Motive CSV, Qualisys TSV,\n"
+        "ROS bags, plain CSV, Parquet, TUM; each is recognised from its content.",
         _EPILOG.strip(),
     )
     command.add_argument("files", nargs="+", metavar="FILE", help="a recording; each becomes a run")
