@@ -66,3 +66,12 @@ def hidden_effect(study_folder):
 def own_effect(study_folder):
     """What `fit/own_effect.py` finds, before and after the effect of one's own is there."""
     return study("own_effect").main(study_folder)
+
+
+@pytest.fixture(scope="session")
+def realdata() -> Path:
+    """The folder of real motion-capture exports, which lies beside the repository and does not travel with it."""
+    folder = Path(__file__).resolve().parents[2] / "shared" / "realdata"
+    if not folder.is_dir():
+        pytest.skip("The real exports are not here: they belong in ../shared/realdata.")
+    return folder

@@ -496,6 +496,14 @@ SKIDS = ["coupled", "free", "ideal"]
 TIMES = jnp.linspace(0.0, 10.0, 11)
 
 
+def test_a_long_recording_may_take_more_steps():
+    """What is asked for at 1000 times is not refused for the limit of a run of a few samples."""
+    model, gait = table_2(PACEJKA, "free"), gait_of(full.FORWARD)
+    few = Accuracy(max_steps=10)
+    assert not bool(simulate(model, gait, jnp.linspace(0.0, 1.0, 3), accuracy=few, throw=False).finished)
+    assert bool(simulate(model, gait, jnp.linspace(0.0, 1.0, 1000), accuracy=few, throw=False).finished)
+
+
 @pytest.mark.parametrize("skid", SKIDS)
 def test_a_run_may_start_anywhere(skid):
     """Translating and turning the start translates and turns the run."""

@@ -8,7 +8,7 @@ import pytest
 
 from snakejax._errors import InputError
 from snakejax.readers import read_joint_log, read_track
-from snakejax.readers.vicon_tracker import EULER, QUATERNION
+from snakejax.readers.vicon import EULER, QUATERNION
 
 FRAMES = 12
 MM = ("rad", "rad", "rad", "mm", "mm", "mm")
@@ -142,7 +142,7 @@ COMPLAINTS = {
     "no frames": ("\r\n".join(GOOD.split("\r\n")[:5]), 5, "ends before its first frame", "export"),
     "quaternion": (QUATERNIONS, 6, 'quaternion of "board:board" is not of length 1', "RX,RY,RZ,RW"),
     "empty": ("", 1, "The file is empty", "export"),
-    "other format": ("time,x,y\r\n0,1,2\r\n", 1, 'begins with "time,x,y"', "Vicon Tracker"),
+    "other format": ("Dear reader\r\n0,1,2\r\n", 1, 'begins with "Dear reader"', "Vicon CSV, C3D"),
 }
 
 

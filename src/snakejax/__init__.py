@@ -71,6 +71,12 @@ if TYPE_CHECKING:
     from ._tyre import Rayleigh as Rayleigh
     from ._units import Scalar as Scalar
     from ._units import param as param
+    from .readers import Capture as Capture
+    from .readers import Hints as Hints
+    from .readers import read_capture as read_capture
+    from .readers import read_track as read_track
+    from .readers import write_csv as write_csv
+    from .readers import write_tum as write_tum
 
 _HOMES = {
     "_board": "TABLE_II Board Wheelset",
@@ -94,6 +100,7 @@ _HOMES = {
     "_sweep": "Axes grid sweep table",
     "_tyre": "Bakker Pacejka Rayleigh",
     "_units": "Scalar param",
+    "readers": "Capture Hints read_capture read_track write_csv write_tum",
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names.split()}
 

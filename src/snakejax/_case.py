@@ -14,6 +14,7 @@ import numpy as np
 from ._board import Board
 from ._errors import InputError
 from ._gait import AbstractSignal, Gait, Logged, Sines, Tracked
+from ._hints import HINT_KEYS, hints_of
 from ._recording import Case, Noise, Run
 from ._toml import Table, read_toml
 from ._units import Domain, require_x64
@@ -38,7 +39,7 @@ ACTUATOR_KEYS = ("kp", "kd")
 PAYLOAD_KEYS = {"payload_kg": "kg", "payload_inertia_kgm2": "kg m^2"}
 JOINT_LOG_KEYS = ("file", "kind")
 JOINTS = ("phi", "psi", "phi_back")
-RUN_KEYS = ("role", "mocap", "object", *JOINTS, "joint_log", "window_s", *PAYLOAD_KEYS, "start")
+RUN_KEYS = ("role", "mocap", "object", *HINT_KEYS, *JOINTS, "joint_log", "window_s", *PAYLOAD_KEYS, "start")
 
 _RUNS = '[[runs]] with role = "train", mocap, object, phi and psi'
 _JOINT_LOG = 'joint_log = {file = "joints.csv", kind = "commanded"}'
@@ -134,8 +135,8 @@ def _name(row: Table) -> str:
 def _file(table: Table, key: str, folder: Path) -> Path:
     name = table.text(key, f'{key} = "file.csv"')
     path = folder / name
-    if not path.is_file():
-        there = sorted(p.relative_to(folder).as_posix() for p in folder.glob("*.csv"))
+    if not path.exists():
+        there = sorted(p.relative_to(folder).as_posix() for p in folder.iterdir() if p.name != "case.toml")
         close = difflib.get_close_matches(name, there, 1)
         remedy = f'write "{close[0]}" or add the file' if close else "add the file or correct its name"
         raise table.error(key, f'names "{name}", but there is no such file', remedy)
@@ -180,7 +181,8 @@ def _opposite(signal: Sines | Logged) -> Sines | Logged:
 
 
 def _run(row: Table, folder: Path, gait: Gait) -> Run:
-    track = read_track(_file(row, "mocap", folder), row.text("object", 'object = "subject:segment"'))
+    object = row.text("object", 'object = "subject:segment"')
+    track = read_track(_file(row, "mocap", folder), object, hints_of(row))
     moving = "start" in row.values and row.choice("start", STARTS) == "moving"
     times, pose = track.times, track.pose
     if "window_s" in row.values:
@@ -223,4 +225,15 @@ def _require_covered(row: Table, folder: Path, times: Sequence[float], slack: fl
 def _sha256(folder: Path, rows: list[Table]) -> dict[str, str]:
     logs = [row.values["joint_log"]["file"] for row in rows if "joint_log" in row.values]
     names = ["case.toml", *(row.values["mocap"] for row in rows), *logs]
-    return {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in names}
+    return {name: _digest(folder / name) for name in names}
+
+
+def _digest(path: Path) -> str:
+    """The SHA-256 of a file, or of the files of a folder one after the other by name, as a ROS 2 bag has them."""
+    files = [path] if path.is_file() else sorted(file for file in path.rglob("*") if file.is_file())
+    found = hashlib.sha256()
+    for name in files:
+        with name.open("rb") as file:
+            while block := file.read(1 << 20):
+                found.update(block)
+    return found.hexdigest()

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 
 
 class InputError(ValueError):
-    """An input that cannot be used: `WHAT is wrong, WHERE: how to mend it`, on one line.
+    """An input that cannot be used: `WHAT is wrong, WHERE: how to mend it`, on one line of printable signs.
 
     **Arguments:** `what` is wrong; `where`: the file and line, the run, or the option; `remedy`: how to mend it.
     """
@@ -15,7 +15,9 @@ class InputError(ValueError):
         self.what, self.where, self.remedy = what, where, remedy
 
     def __str__(self) -> str:
-        return " ".join(f"{self.what}, {self.where}: {self.remedy}".split())
+        # A damaged file may hold what a terminal would obey.
+        line = " ".join(f"{self.what}, {self.where}: {self.remedy}".split())
+        return "".join(sign if sign.isprintable() else "?" for sign in line)
 
 
 def at_line(path: object, line: int) -> str:

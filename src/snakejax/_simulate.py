@@ -14,6 +14,9 @@ from ._gait import Gait
 from ._model import Model
 from ._units import Scalar, require_x64
 
+STEPS_A_SAMPLE = 8
+"""So many steps may a long recording take for each of its samples, where that is more than `Accuracy.max_steps`."""
+
 
 class Accuracy(eqx.Module):
     """How accurately to integrate: Tsit5 with local error below `atol + rtol |state|`, or with a fixed step [s].
@@ -107,7 +110,7 @@ def _integrate(
         saveat=diffrax.SaveAt(ts=times),
         stepsize_controller=controller,
         adjoint=diffrax.ForwardMode() if forward else diffrax.RecursiveCheckpointAdjoint(),
-        max_steps=accuracy.max_steps,
+        max_steps=max(accuracy.max_steps, STEPS_A_SAMPLE * times.shape[0]),
         throw=throw,
     )
     return jax.tree.unflatten(structure, solution.ys), solution.result == diffrax.RESULTS.successful

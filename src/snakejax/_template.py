@@ -1,10 +1,13 @@
 """A commented `case.toml` to start from."""
 
+import json
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ._errors import InputError
 
-_TEMPLATE = """\
+_HEAD = """\
 # A case: a board and its recorded runs. Units are in the names of the keys.
 title = "my snakeboard"             # free text; may be left out
 skid = "free"                       # what to start from: "free" (each wheelset skids by itself) or "coupled"
@@ -27,12 +30,20 @@ creep_speed_mps = 0.01              # below this wheel speed slip forces fade ou
 [actuator]
 kp = 100.0                          # 1/s^2
 kd = 10.0                           # 1/s
+"""
+_TEMPLATE_RUNS = """\
 
 # One table for each run. Fit on "train" runs; "heldout" runs check what the fit predicts.
 [[runs]]
 role = "train"
-mocap = "train-1.csv"               # Vicon Tracker CSV (Objects or Segments); its stem names the run
-object = "board:board"              # subject:segment, as in the third row of the file
+mocap = "train-1.csv"               # Vicon CSV, C3D, TRC, Motive CSV, Qualisys TSV, a ROS bag, CSV or Parquet
+object = "board:board"              # its name in the file, in Vicon's subject:segment; the file's stem names the run
+# What some files do not say; leave out what yours does. Of a plain table, the columns, in SI units or those given:
+# columns = {time = "t", x = "pos x", y = "pos y", heading = "yaw"}
+# units = {length = "mm", angle = "deg", time = "ms"}
+# up = "z"                          # the axis that points up, or its components: [0.01, 0.0, 1.0]
+# Where markers sit on the board, in m from its middle: forward, left, up. For files with markers only.
+# markers = {nose = [0.3, 0.0, 0.1], tail = [-0.3, 0.0, 0.1], mast = [0.0, 0.1, 0.3]}
 # Commanded angles: [[amplitude rad, angular frequency rad/s, phase rad], ...], each a sin(w t + p), summed
 phi = [[0.916, 4.0, 0.0]]           # steering of the front wheelset; [] stays at zero
 psi = [[1.57, 4.0, 0.0]]            # rotor
@@ -54,9 +65,36 @@ psi = [[1.4, 3.0, 3.14159265]]
 """
 
 
+MEASURES = ("mass_kg", "rotor_inertia_kgm2", "wheelset_inertia_kgm2", "half_length_m")
+_FIRST_RUN = """\
+
+# One table for each run. Fit on "train" runs; "heldout" runs check what the fit predicts. `snakejax new` explains all
+# keys a run may have.
+"""
+TO_FILL_IN = '"?"'
+
+
 def template() -> str:
     """A `case.toml` with the board of Table II, two runs, and every key explained in a comment."""
-    return _TEMPLATE
+    return _HEAD + _TEMPLATE_RUNS
+
+
+def filled(title: str, board: Mapping[str, float], runs: Sequence[str]) -> str:
+    """The template with `title`, the measures of [board] that are known, and `runs`; what is not known is "?"."""
+    text = _HEAD
+    known = {key: repr(float(board[key])) if key in board else TO_FILL_IN for key in MEASURES}
+    for key, value in {**known, "title": toml_string(title)}.items():
+        text = re.sub(rf'^{key} = (".*?"|\S+)', lambda _, k=key, v=value: f"{k} = {v}", text, flags=re.MULTILINE)
+    if "inertia_kgm2" in board:
+        text = text.replace("# inertia_kgm2 = 0.4375 ", f"inertia_kgm2 = {board['inertia_kgm2']!r} ")
+    for line in ("[actuator]", "kp = ", "kd = "):
+        text = text.replace(f"\n{line}", f"\n# {line}")
+    return text + _FIRST_RUN + "\n".join(runs)
+
+
+def toml_string(text: str) -> str:
+    """`text` as a string of TOML."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def write_template(folder: Path | str) -> Path:

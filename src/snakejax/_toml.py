@@ -11,6 +11,7 @@ from ._errors import InputError, at_line, instead_of
 from ._units import Domain
 from .readers._text import read_text
 
+TO_FILL_IN = "?"
 _HEADER = re.compile(r"""\s*\[\[?\s*(["'A-Za-z_][^\]]*?)\s*\]""")
 
 
@@ -58,6 +59,11 @@ class Table(NamedTuple):
             raise self.error(key, "must be a string", f"write {example}")
         return value
 
+    def texts(self, key: str, example: str) -> dict[str, str]:
+        """The table of strings at `key`."""
+        table = self.table(key, example)
+        return {name: table.text(name, f'{name} = "..."') for name in table.values}
+
     def choice(self, key: str, options: tuple[str, ...]) -> str:
         """The string at `key`, one of `options`."""
         value = self.get(key, f'{key} = "{options[0]}"')
@@ -68,6 +74,8 @@ class Table(NamedTuple):
     def number(self, key: str, domain: Domain) -> float:
         """The number at `key`, inside `domain`."""
         value = self.get(key, f"{key} = a number in {domain.unit}")
+        if value == TO_FILL_IN:
+            raise self.error(key, "is not filled in", f"write it in {domain.unit}, without quotes")
         if not _is_number(value):
             raise self.error(key, "must be a number", f"write it in {domain.unit}, without quotes")
         if why := domain.complaint(float(value)):
@@ -77,6 +85,8 @@ class Table(NamedTuple):
     def numbers(self, key: str, columns: int, example: str) -> list[list[float]]:
         """The list at `key` of rows of `columns` finite numbers."""
         rows = self.get(key, example)
+        if rows == TO_FILL_IN:
+            raise self.error(key, "is not filled in", f"write {example}")
         if not (isinstance(rows, list) and all(_is_vector(row, columns) for row in rows)):
             raise self.error(key, f"must be a list of lists of {columns} finite numbers", f"write {example}")
         return rows
@@ -91,6 +101,8 @@ class Table(NamedTuple):
     def table(self, key: str, example: str) -> "Table":
         """The table at `key`."""
         value = self.get(key, example)
+        if value == TO_FILL_IN:
+            raise self.error(key, "is not filled in", f"write {example}")
         if not isinstance(value, dict):
             raise self.error(key, "must be a table", f"write {example}")
         if self.label != "the case":

@@ -1,5 +1,6 @@
 """Joint logs: a CSV of the joint angles over time, commanded or measured."""
 
+import itertools
 from pathlib import Path
 from typing import NamedTuple
 
@@ -7,7 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from .._errors import InputError, at_line, instead_of
-from ._text import number, read_text, rows_of
+from ._cells import Rows, numbers
+from ._text import is_blank, read_text, separator_of, shown, split
 
 REQUIRED = ("time_s", "phi_rad", "psi_rad")
 OPTIONAL = ("phi_back_rad",)
@@ -29,37 +31,39 @@ def read_joint_log(path: Path | str) -> JointLog:
     **Raises:** `InputError` with file, line and remedy.
     """
     path = Path(path)
-    rows, decimal = rows_of(read_text(path))
-    columns = _columns(rows[0], path)
-    lines = [line for line, cells in enumerate(rows[1:], start=2) if any(cells)]
-    if len(lines) < FEWEST_ROWS:
-        what = f"The joint log has {len(lines)} rows, but at least {FEWEST_ROWS} are needed"
-        raise InputError(what, at_line(path, len(lines) + 1), "log the joints for the whole run")
-    table = np.array([_row(rows[line - 1], columns, at_line(path, line), decimal) for line in lines])
-    for before, after, line in zip(table[:-1, 0], table[1:, 0], lines[1:], strict=True):
-        if after <= before:
-            what = f"Time goes from {before:g} s to {after:g} s: it runs backwards or stands still"
-            raise InputError(what, at_line(path, line), "sort the rows by time and keep one row for each")
-    return JointLog(table[:, 0], table[:, 1], table[:, 2], table[:, 3] if len(columns) > 3 else None)
+    text = read_text(path)
+    separator, decimal = separator_of(text)
+    lines = text.split("\n")
+    columns = _columns(split(lines[0], separator), path)
+    filled = [line for line, cells in enumerate(lines[1:], start=2) if not is_blank(cells)]
+    if len(filled) < FEWEST_ROWS:
+        what = f"The joint log has {len(filled)} rows, but at least {FEWEST_ROWS} are needed"
+        raise InputError(what, at_line(path, len(filled) + 1), "log the joints for the whole run")
+    table = np.empty((len(filled), len(columns)))
+    # Rows between two blank lines are read together; there are rarely any such lines.
+    breaks = [0, *(np.flatnonzero(np.diff(filled) > 1) + 1).tolist(), len(filled)]
+    for start, stop in itertools.pairwise(breaks):
+        part = lines[filled[start] - 1 : filled[stop - 1]]
+        table[start:stop] = numbers(Rows(path, part, filled[start], separator, decimal), columns)
+    if (blank := np.argwhere(np.isnan(table))).size:
+        row, column = blank[0]
+        what = f"The cell of {columns[column]} is blank"
+        raise InputError(what, at_line(path, filled[row]), "a joint log has no gaps: fill or remove the row")
+    found = dict(zip(columns, table.T, strict=True))
+    times = found["time_s"]
+    if (backwards := np.flatnonzero(np.diff(times) <= 0)).size:
+        row = int(backwards[0])
+        what = f"Time goes from {times[row]:g} s to {times[row + 1]:g} s: it runs backwards or stands still"
+        raise InputError(what, at_line(path, filled[row + 1]), "sort the rows by time and keep one row for each")
+    return JointLog(*(found.get(name) for name in REQUIRED + OPTIONAL))
 
 
 def _columns(header: list[str], path: Path) -> list[str]:
     for i, name in enumerate(header):
         if name not in REQUIRED + OPTIONAL or name in header[:i]:
             remedy = "remove it" if name in header[:i] else instead_of(name, REQUIRED + OPTIONAL)
-            raise InputError(f'Extra column "{name}"', at_line(path, 1), remedy)
+            raise InputError(f'Extra column "{shown(name)}"', at_line(path, 1), remedy)
     for name in REQUIRED:
         if name not in header:
             raise InputError(f"Missing column {name}", at_line(path, 1), f"the first row is {','.join(REQUIRED)}")
     return header
-
-
-def _row(cells: list[str], columns: list[str], where: str, decimal: str) -> list[float]:
-    if len(cells) != len(columns):
-        what = f"The row has {len(cells)} cells, but there are {len(columns)} columns"
-        raise InputError(what, where, "complete the row")
-    values = {name: number(cell, name, where, decimal) for name, cell in zip(columns, cells, strict=True)}
-    for name, value in values.items():
-        if np.isnan(value):
-            raise InputError(f"The cell of {name} is blank", where, "a joint log has no gaps: fill or remove the row")
-    return [values[name] for name in REQUIRED + OPTIONAL if name in values]

@@ -1,0 +1,27 @@
+"""What `[[runs]]` says of a recording that its file does not say itself."""
+
+from ._toml import Table
+from .readers import UPRIGHT, Hints
+
+HINT_KEYS = ("columns", "units", "up", "markers")
+
+
+def hints_of(row: Table) -> Hints:
+    """What the run says of its file that the file does not say itself."""
+    columns, units = (
+        row.texts(key, example) if key in row.values else None
+        for key, example in (("columns", 'columns = {time = "name", ...}'), ("units", 'units = {length = "mm", ...}'))
+    )
+    markers = None
+    if "markers" in row.values:
+        example = "markers = {name = [x, y, z], ...}"
+        table = row.table("markers", example)
+        markers = {name: table.vector(name, 3, f"{name} = [x, y, z] in m") for name in table.values}
+    up = row.values.get("up")
+    if isinstance(up, list):
+        up = row.vector("up", 3, "up = [0.0, 0.0, 1.0]")
+        if not any(up):
+            raise row.error("up", "has no direction", 'write up = "z" or the components of what points up')
+    elif up is not None:
+        up = row.choice("up", tuple(UPRIGHT))
+    return Hints(columns, units, up, markers)

@@ -1,0 +1,78 @@
+"""The plane in which something moves: which way is up, and how far off an axis of the cameras that is."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ._turn import AXES
+
+ARM = 0.2
+FLATTEST = 0.2
+FAR = 6.0
+MAD_TO_SD = 1.4826
+MOST = 20_000
+LEAST_FAR = 1e-6
+TRIES, SOME, MOST_SHARE = 300, 3000, 0.8
+
+
+class Ground(NamedTuple):
+    """The unit vector `up` across the plane of motion, its nearest `axis`, and the angle [rad] between them."""
+
+    up: Float[np.ndarray, "3"]
+    axis: str
+    tilt: float
+
+
+def ground_of(trajectories: Float[np.ndarray, "n k 3"]) -> Ground | None:
+    """The plane in which k points of a rigid body move; None where they move along a line, or not in a plane.
+
+    Each point's way is taken from its own middle, so that where it sits on the body does not matter. What is far off
+    the plane is left out and the plane found again.
+    """
+    step = max(1, len(trajectories) // MOST)
+    moved = trajectories[::step]
+    moved = moved[np.isfinite(moved).all(axis=(1, 2))]
+    if len(moved) < 3:
+        return None
+    moved = (moved - np.median(moved, axis=0)).reshape(-1, 3)
+    normal = _least_quantile(moved)
+    for _ in range(3):
+        off = moved @ normal
+        near = np.abs(off - np.median(off))
+        kept = moved[near <= max(FAR * MAD_TO_SD * float(np.median(near)), LEAST_FAR)]
+        values, vectors = np.linalg.svd(kept - kept.mean(axis=0), full_matrices=False)[1:]
+        normal = vectors[2]
+    if values[1] == 0 or values[2] > FLATTEST * values[1]:
+        return None
+    axis = max(("x", "y", "z"), key=lambda name: abs(float(AXES[name] @ vectors[2])))
+    up = vectors[2] * np.sign(AXES[axis] @ vectors[2])
+    return Ground(up, axis, float(np.arccos(min(1.0, float(up @ AXES[axis])))))
+
+
+def arms(position: Float[np.ndarray, "n 3"], rotation: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 4 3"]:
+    """A body's origin and the ends of three arms along its axes: points that move as it does, turning included."""
+    v, w = rotation[:, :3], rotation[:, 3:]
+    ends = [position]
+    for axis in ARM * np.eye(3):
+        # a + 2 w (v x a) + 2 v x (v x a)
+        across = np.cross(v, axis)
+        ends.append(position + axis + 2 * w * across + 2 * np.cross(v, across))
+    return np.stack(ends, axis=1)
+
+
+def _least_quantile(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
+    """Of normals across random pairs of points the one for which most points are nearest to one plane.
+
+    Three points far away can turn a plane of least squares as they like; they cannot turn this one.
+    """
+    random = np.random.default_rng(0)
+    some = points[random.permutation(len(points))[:SOME]]
+    one, other = (some[random.integers(len(some), size=TRIES)] for _ in range(2))
+    across = np.cross(one, other)
+    length = np.linalg.norm(across, axis=1)
+    if not length.any():
+        return np.array([0.0, 0.0, 1.0])
+    normals = across[length > 0] / length[length > 0, None]
+    off = some @ normals.T
+    return normals[np.quantile(np.abs(off - np.median(off, axis=0)), MOST_SHARE, axis=0).argmin()]

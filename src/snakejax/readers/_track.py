@@ -1,0 +1,138 @@
+"""From what a file holds to the planar motion of one object in it."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from .._errors import InputError, instead_of
+from ._capture import Body, Capture, Hints
+from ._rigid import LEAST_SPREAD, Placed, placed
+from ._text import shown
+from ._turn import AXES, heading_of, unwrapped, upright
+
+FEWEST_SAMPLES = 10
+FARTHEST = 1e9
+WORST_TEMPLATE = 0.2
+
+
+class Track(NamedTuple):
+    """The planar motion of one object: frame `rate` [Hz], `times` [s] (n,) of every frame from 0 at the first, and
+    `pose` (n, 3) of x [m], y [m] and the unwrapped heading [rad], NaN where the frame was lost.
+    """
+
+    rate: float
+    times: Float[np.ndarray, " n"]
+    pose: Float[np.ndarray, "n 3"]
+
+
+def body_of(capture: Capture, object: str, hints: Hints) -> Body:
+    """The body called `object`, or the one whose markers it names, fitted to where `hints` says that they sit.
+
+    **Raises:** `InputError` where there is none, or there are several.
+    """
+    if object in capture.doubled:
+        times = 1 + sum(name == object for name in capture.doubled)
+        what = f'The object "{shown(object)}" is there {times} times'
+        raise InputError(what, capture.where, "rename or remove all but one")
+    if object in capture.bodies:
+        return capture.bodies[object]
+    if [*capture.bodies] == [""]:
+        return capture.bodies[""]  # A table of one body without a name: call it as you like.
+    if hints.markers:
+        return fitted(capture, object, hints)[0]
+    there = subjects(capture)
+    if object in there or ("" in there and not capture.bodies):
+        what = f'Of "{shown(object)}" the file has markers, and where they sit on the board it cannot say'
+        remedy = "give markers = {name = [x, y, z], ...} in m from the board's middle, or use `snakejax import`"
+        raise InputError(what, capture.where, remedy)
+    raise InputError(
+        f'There is no object "{shown(object)}" in the file',
+        capture.where,
+        listed(object, [name for name in (*capture.bodies, *there) if name]),
+    )
+
+
+def fitted(capture: Capture, object: str, hints: Hints) -> tuple[Body, Placed]:
+    """The body whose markers sit where `hints.markers` says, by name with or without that of `object` before it.
+
+    **Raises:** `InputError` where a marker is not there, there are too few, or they do not keep the template's shape.
+    """
+    assert hints.markers is not None
+    names = []
+    for name in hints.markers:
+        found = next((full for full in (f"{object}:{name}", name) if full in capture.markers), None)
+        if found is None or found in capture.doubled:
+            what = f'There is no marker "{shown(name)}"' if found is None else f'The marker "{shown(name)}" is doubled'
+            raise InputError(f"{what} in the file", capture.where, listed(name, [*capture.markers]))
+        names.append(found)
+    template = np.array([hints.markers[name] for name in hints.markers], float)
+    spread = float(np.sqrt(((template - template.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    if len(template) < 2 or spread < LEAST_SPREAD:
+        raise InputError("Two markers apart from each other are the least", capture.where, "give more under markers")
+    turn = upright(hints.up or capture.up)
+    points = np.stack([capture.markers[name] for name in names], axis=1)
+    place = placed(template, points @ turn.T, AXES["z"])
+    usual = float(np.nanmedian(place.residual)) if np.isfinite(place.residual).any() else 0.0
+    if usual > WORST_TEMPLATE * spread:
+        what = f"The markers are usually {1e3 * usual:.0f} mm off where the template has them"
+        raise InputError(what, capture.where, "measure where they sit on the board, in m, and check their names")
+    # The fit is made where z is up; a body keeps the axes of its file.
+    back = turn.T
+    rotation = np.concatenate([place.rotation[:, :3] @ back.T, place.rotation[:, 3:]], axis=1)
+    return Body(capture.times, place.position @ back.T, rotation, capture.where), place
+
+
+def subjects(capture: Capture) -> dict[str, list[str]]:
+    """The markers of each subject: `board:front` belongs to `board`; one without a colon belongs to ``."""
+    found: dict[str, list[str]] = {}
+    for name in capture.markers:
+        found.setdefault(name.rpartition(":")[0], []).append(name)
+    return found
+
+
+def listed(word: str, there: Sequence[str], most: int = 12) -> str:
+    """The remedy for an unknown name, which lists a few of those that are there."""
+    names = [shown(name) for name in there]
+    return instead_of(word, names if len(names) <= most else [*names[:most], "..."])
+
+
+def track_of(capture: Capture, object: str, hints: Hints = Hints()) -> Track:  # noqa: B008
+    """The planar motion of `object`. **Raises:** `InputError`."""
+    return planar(body_of(capture, object, hints), hints.up or capture.up, capture.rate, object)
+
+
+def planar(body: Body, up: str | Sequence[float], rate: float | None, name: str) -> Track:
+    """The motion of `body` seen from above, times counted from its first row; `rate` as in `Capture`.
+
+    **Raises:** `InputError` where too few samples are present, time does not increase, or a position is absurd.
+    """
+    turn = upright(up)
+    pose = np.full((len(body.times), 3), np.nan)
+    if body.heading is not None:
+        pose[:, :2], pose[:, 2] = body.position[:, :2], body.heading
+    else:
+        pose[:, :2] = (body.position @ turn.T)[:, :2]
+        pose[:, 2] = heading_of(body.rotation, turn)
+    pose[np.isnan(pose).any(axis=1)] = np.nan
+    present = int(np.isfinite(pose[:, 0]).sum())
+    if present < FEWEST_SAMPLES:
+        what = f'Only {present} samples of "{shown(name)}" are present, but at least {FEWEST_SAMPLES} are needed'
+        raise InputError(what, body.where, "check that the object was tracked, or leave this run out")
+    if np.nanmax(np.abs(pose)) > FARTHEST:
+        what = f'"{shown(name)}" is {np.nanmax(np.abs(pose)):.2g} m away'
+        raise InputError(what, body.where, "check the file: such a distance is a damaged number")
+    pose[:, 2] = unwrapped(pose[:, 2])
+    steps = np.diff(body.times)
+    if (backwards := np.flatnonzero(~(steps > 0))).size:
+        row = int(backwards[0])
+        what = f'Time of "{shown(name)}" goes from {body.times[row]:.9g} s to {body.times[row + 1]:.9g} s'
+        remedy = f"sort the rows by time and keep one for each (row {row + 2} of its data)"
+        raise InputError(f"{what}: it runs backwards or stands still", body.where, remedy)
+    times = body.times - body.times[0]
+    rate = rate or 1.0 / float(np.median(steps))
+    if not (math.isfinite(rate) and math.isfinite(times[-1])):
+        raise InputError(f'The clock of "{shown(name)}" has no finite span', body.where, "check its time stamps")
+    return Track(rate, times, pose)
