@@ -2,7 +2,7 @@
 
     python fit/hidden_effect.py [FOLDER]
 
-writes the figure of each step into FOLDER (default `fit/figures`).
+writes the figure of each step into FOLDER (default `docs/gallery`).
 """
 
 import sys
@@ -46,4 +46,4 @@ def tell(stage: sj.Stage) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "figures")
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).resolve().parents[1] / "docs" / "gallery")

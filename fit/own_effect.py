@@ -2,7 +2,7 @@
 
     python fit/own_effect.py [FOLDER]
 
-writes figures, and the file with the effect, into FOLDER (default `fit/figures`).
+writes figures, and the file with the effect, into FOLDER (default `docs/gallery`).
 """
 
 import sys
@@ -51,4 +51,4 @@ def main(folder: Path) -> tuple[sj.Explanation, sj.Explanation]:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "figures")
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).resolve().parents[1] / "docs" / "gallery")

@@ -15,8 +15,9 @@ def add(commands: Any) -> None:
         "completion",
         run,
         "print a script that lets a shell complete commands",
-        "Print a script for the shell, which then completes commands, options and files.",
-        "snakejax completion bash > ~/.local/share/bash-completion/completions/snakejax",
+        "Print a script for the shell, which then completes commands, options and files. For\n"
+        "bash, write it to ~/.local/share/bash-completion/completions/snakejax.",
+        "snakejax completion bash",
     )
     command.add_argument("shell", choices=SHELLS, help="which shell")
 

@@ -78,7 +78,7 @@ class _Film:
         both = np.concatenate([scene.seen[:, :2], scene.pose[:, :2]])
         low, high = np.nanmin(both, axis=0) - 1.5 * half, np.nanmax(both, axis=0) + 1.5 * half
         axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]")
-        axis.set_aspect("equal", adjustable="datalim")
+        axis.set_aspect("equal", adjustable="box")
         axis.set_title(titled(scene.run, scene.role), loc="left", fontsize="medium")
         self.clock = axis.set_title("", loc="right", fontsize="medium")
         self.skid = SKID / max(float(np.abs(scene.slip_speed).max()), 1e-9)
