@@ -24,7 +24,7 @@ ROLES = ("train", "heldout")
 STARTS = ("rest", "moving")
 KINDS = ("commanded", "measured")
 
-CASE_KEYS = ("title", "skid", "board", "noise", "actuator", "runs")
+CASE_KEYS = ("title", "skid", "area_m", "board", "noise", "actuator", "runs")
 BOARD_KEYS = {
     "mass_kg": "mass",
     "rotor_inertia_kgm2": "rotor_inertia",
@@ -71,7 +71,8 @@ def load_case(folder: Path | str) -> Case:
     gaits = _gaits([_joints(row, folder) for row in rows], gains)
     runs = tuple(_run(row, folder, gait) for row, gait in zip(rows, gaits, strict=True))
     title = table.text("title", 'title = "..."') if "title" in table.values else folder.resolve().name
-    return Case(folder.resolve().name, title, skid, board, runs, noise, _sha256(folder, rows))
+    area = _area(table) if "area_m" in table.values else None
+    return Case(folder.resolve().name, title, skid, board, runs, noise, _sha256(folder, rows), area)
 
 
 def _case_file(folder: Path) -> Path:
@@ -95,6 +96,14 @@ def _board(table: Table) -> Board:
         what = f"makes the total inertia {float(board.total_inertia):g} kg m^2, not above {joints:g} of the joints"
         raise table.error(key, what, "give inertia_kgm2 with the rotor and the wheelsets in it")
     return board
+
+
+def _area(table: Table) -> tuple[float, float, float, float]:
+    example = "area_m = [lowest x, lowest y, highest x, highest y]"
+    left, below, right, above = table.vector("area_m", 4, example)
+    if not (left < right and below < above):
+        raise table.error("area_m", f"is [{left:g}, {below:g}, {right:g}, {above:g}], which holds nothing", f"write {example}")
+    return left, below, right, above
 
 
 def _noise(table: Table) -> Noise:

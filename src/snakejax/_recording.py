@@ -40,7 +40,9 @@ class Noise(eqx.Module):
 
 
 class Case(eqx.Module):
-    """A board and its recorded runs, as a case folder describes them."""
+    """A board and its recorded runs, as a case folder describes them; the `area` from (x, y) to (x, y) [m] in which it
+    was recorded, where that is stated.
+    """
 
     name: str = eqx.field(static=True)
     title: str = eqx.field(static=True)
@@ -49,6 +51,7 @@ class Case(eqx.Module):
     runs: tuple[Run, ...]
     noise: Noise | None = None
     sha256: dict[str, str] = eqx.field(static=True, default_factory=dict)
+    area: tuple[float, float, float, float] | None = eqx.field(static=True, default=None)
 
     def having(self, role: str) -> tuple[Run, ...]:
         """The runs of `role` "train" or "heldout"."""
