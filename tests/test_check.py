@@ -7,10 +7,11 @@ import pytest
 
 from snakejax._board import TABLE_II, Board
 from snakejax._case import load_case
-from snakejax._check import Doubt, check, check_text, estimate_noise, holding
+from snakejax._check import Doubt, check, check_text, holding
 from snakejax._errors import InputError
 from snakejax._gait import Gait, Sines, Tracked
 from snakejax._recording import Case, Noise, Run
+from snakejax.quality import estimate_noise
 
 RATE, FRAMES = 100.0, 1201
 POSITION, HEADING = 4e-4, 2.5e-3
@@ -124,8 +125,8 @@ FAULTS = [
     (set_frozen, "the pose is frozen for 8 frames at 3.00 s (7 repeats in all)"),
     (set_repeat, "1 frames repeat the pose before them"),
     (set_copy, "10 poses occur again elsewhere in the run, as if copied"),
-    (set_jump, "x jumps by 0.201 m in one frame at 5.00 s (1 in all)"),
-    (set_switch, "y jumps by 0.1"),
+    (set_jump, "one frame lies 0.2 m off the path at 5.00 s"),
+    (set_switch, "off the path at 0.00 s, as if another body were followed; it is not clear which is the board"),
     (set_late, "the first sample comes 0.50 s after the start"),
     (set_gap, "a gap of 0.81 s at 3.99 s"),
     (set_sparse, "33% of the frames are lost"),

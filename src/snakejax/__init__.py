@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from ._board import Wheelset as Wheelset
     from ._case import load_case as load_case
     from ._check import check as check
-    from ._check import estimate_noise as estimate_noise
-    from ._check import noise_of as noise_of
     from ._cluster import cluster as cluster
     from ._effect import Clock as Clock
     from ._effect import Command as Command
@@ -71,11 +69,18 @@ if TYPE_CHECKING:
     from ._tyre import Rayleigh as Rayleigh
     from ._units import Scalar as Scalar
     from ._units import param as param
+    from .quality import Finding as Finding
+    from .quality import Inspection as Inspection
+    from .quality import estimate_noise as estimate_noise
+    from .quality import inspected as inspected
+    from .quality import marker_noise as marker_noise
+    from .quality import noise_of as noise_of
+    from .quality import noise_sources as noise_sources
 
 _HOMES = {
     "_board": "TABLE_II Board Wheelset",
     "_case": "load_case",
-    "_check": "check estimate_noise noise_of",
+    "_check": "check",
     "_cluster": "cluster",
     "_effect": "Clock Command Effect Floor Force Grip Layout Linkage Memory Motion Rolling Sensor Wheel",
     "_errors": "InputError",
@@ -94,6 +99,7 @@ _HOMES = {
     "_sweep": "Axes grid sweep table",
     "_tyre": "Bakker Pacejka Rayleigh",
     "_units": "Scalar param",
+    "quality": "Finding Inspection estimate_noise inspected marker_noise noise_of noise_sources",
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names.split()}
 

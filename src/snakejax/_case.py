@@ -102,7 +102,9 @@ def _area(table: Table) -> tuple[float, float, float, float]:
     example = "area_m = [lowest x, lowest y, highest x, highest y]"
     left, below, right, above = table.vector("area_m", 4, example)
     if not (left < right and below < above):
-        raise table.error("area_m", f"is [{left:g}, {below:g}, {right:g}, {above:g}], which holds nothing", f"write {example}")
+        raise table.error(
+            "area_m", f"is [{left:g}, {below:g}, {right:g}, {above:g}], which holds nothing", f"write {example}"
+        )
     return left, below, right, above
 
 

@@ -13,12 +13,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import optimize, stats
 
-from ._check import noise_of
 from ._effect import Motion
 from ._fit import Fit, FitError, Score, fit, starting_model
 from ._recording import Case, Noise
 from ._simulate import motions, simulate
 from ._study import Optimum, Study
+from .quality import noise_of
 
 CHANNELS = ("x", "y", "heading")
 RATES = ("forward_rate", "sideways_rate", "heading_rate")

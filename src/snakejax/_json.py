@@ -24,6 +24,7 @@ from ._recording import Case, Noise
 from ._skid import SKIDS, Ideal
 from ._tyre import Bakker, Rayleigh
 from ._units import parameters
+from .quality import Inspection
 
 SCHEMA = 1
 LIBRARIES = ("snakejax", "jax", "jaxlib", "diffrax", "optimistix", "equinox", "numpy")
@@ -117,6 +118,30 @@ def score_json(score: Score | None) -> Json | None:
 def rmse_json(train: Score | None, heldout: Score | None) -> Json:
     """Root mean squared errors of both roles."""
     return {"train": score_json(train), "heldout": score_json(heldout)}
+
+
+def quality_json(seen: Inspection) -> Json:
+    """What was found in the recordings, what was done about it, and how many frames count as lost for it."""
+    return {
+        "as_recorded": seen.as_recorded,
+        "findings": [
+            {
+                "kind": f.kind,
+                "run": f.run,
+                "from_s": f.start,
+                "to_s": f.end,
+                "size": f.size,
+                "unit": f.unit,
+                "what": f.what,
+                "remedy": f.remedy,
+                "action": f.action,
+                "applied": f.applied,
+                "severity": f.severity,
+            }
+            for f in seen.findings
+        ],
+        "masked": seen.masked,
+    }
 
 
 def run_json(score: RunScore) -> Json:

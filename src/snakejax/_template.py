@@ -8,6 +8,7 @@ _TEMPLATE = """\
 # A case: a board and its recorded runs. Units are in the names of the keys.
 title = "my snakeboard"             # free text; may be left out
 skid = "free"                       # what to start from: "free" (each wheelset skids by itself) or "coupled"
+# area_m = [-2.0, -1.5, 2.0, 1.5]   # lowest x, lowest y, highest x, highest y of the floor: samples outside are wrong
 
 [board]
 mass_kg = 7.0                       # all of it: board, rotor, wheelsets

@@ -62,7 +62,8 @@ def swap(track, size, rng, frames=40):
     pose, length = track.pose.copy(), int(size)
     k = _middle(track, length, rng)
     turn = rng.uniform(0, 2 * np.pi)
-    place = np.nanmean(pose[k : k + 20], axis=0) + [0.5 * np.cos(turn), 0.5 * np.sin(turn), rng.uniform(-1, 1)]
+    away = np.array([0.5 * np.cos(turn), 0.5 * np.sin(turn), rng.uniform(-1, 1)])
+    place = np.nanmean(pose[k : k + 20], axis=0) + away
     noise = np.array([4e-4, 4e-4, 2.5e-3])
     pose[k : k + length] = place + rng.normal(size=(length, 3)) * noise
     return Spoiled(_with(track, pose), np.arange(k, k + length), ("swap",))
@@ -170,8 +171,10 @@ def late(track, size, rng):
     box = 15
     speed = np.linalg.norm(seen[box:, :2] - seen[:-box, :2], axis=1) / (track.times[box] - track.times[0])
     whole = np.array([track.present[k : k + 25].all() for k in range(len(speed))])
-    k = np.flatnonzero((speed > size) & whole)
-    k = int(k[0]) if k.size else int(speed.argmax())
+    fast = np.flatnonzero((speed > size) & whole)
+    if not fast.size:
+        return Spoiled(track, np.zeros(0, int), ())
+    k = int(fast[0])
     return Spoiled(Track(track.times[: len(track.times) - k], track.pose[k:], False), np.arange(3), ("not_at_rest",))
 
 

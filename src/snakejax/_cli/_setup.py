@@ -186,7 +186,9 @@ def each_case(
                 def told(message: str, done: int | None = None, total: int | None = None, label: str = label) -> None:
                     say(f"{label}: {message}", done, total)
 
+                case, quality = _inspected(options, case, told)
                 found = work(case, told)
+                found.json.update(quality)
                 _deliver(options, name, found, wanted, apart=len(options.cases) > 1)
             except (FitError, ClusterError) as error:
                 status = max(status, complain(f"{str(error).rstrip('.')} ({name})", FAILED))
@@ -197,6 +199,27 @@ def each_case(
             except (ArithmeticError, RuntimeError) as error:
                 status = max(status, complain(unexpected(error, name), FAILED))
     return status
+
+
+def _inspected(options: argparse.Namespace, case: Any, say: Say) -> tuple[Any, dict[str, Any]]:
+    """`case` with the safe remedies for its defects, said before anything is fitted to it; and its JSON.
+
+    **Raises:** `InputError` where the recordings should not be fitted before a user has mended them.
+    """
+    from .._recording import Case
+
+    if not isinstance(case, Case) or not hasattr(options, "as_recorded"):
+        return case, {}
+    from .._json import quality_json
+    from .._text import quality_report
+    from ..quality import inspected
+
+    say("looking at the recordings")
+    seen = inspected(case, options.as_recorded)
+    if not options.quiet and options.json != "-":
+        show(quality_report(seen))
+    seen.require_sound()
+    return seen.case, {"quality": quality_json(seen)}
 
 
 def _deliver(

@@ -30,10 +30,10 @@ def run(options: argparse.Namespace) -> int:
 
 def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     """Diagnose one case."""
-    from .._check import noise_of
     from .._explain import diagnose
     from .._json import provenance_json
     from .._story import diagnosis_json, diagnosis_text
+    from ..quality import noise_of
 
     clock = Clock()
     noise = noise_of(case)

@@ -72,11 +72,11 @@ def wanted(options: argparse.Namespace) -> dict[str, Any]:
 def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     """Explain one case."""
     from .. import plot
-    from .._check import noise_of
     from .._explain import explain
     from .._json import provenance_json, write_whole
     from .._starter import starter
     from .._story import explanation_json, explanation_text
+    from ..quality import noise_of
 
     clock = Clock()
     noise = noise_of(case)

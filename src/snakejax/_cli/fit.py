@@ -61,8 +61,8 @@ def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
 
 def fitted(options: argparse.Namespace, case: "Case", say: Say) -> "tuple[Fit, Noise]":
     """The fit of `case` that the options ask for, and the noise it counts in."""
-    from .._check import noise_of
     from .._fit import fit
+    from ..quality import noise_of
     from ._models import wanted_model
 
     wanted = wanted_model(options, case)

@@ -22,6 +22,8 @@ SKIP = 3.5
 """A pause of this many frames may hide a break."""
 STRAYS = 4
 """So many frames may stray before a body is seen again where it was going."""
+PAUSE = 0.15
+"""After so long [s] a heading is known but for whole turns, and only the position tells of another body."""
 BY_CHANCE = 0.01
 """Two bodies hardly meet by chance where the way may swerve by this share of the room in which they move."""
 
@@ -66,7 +68,10 @@ def miss(before: End, after: End, limits: Bounds) -> Float[np.ndarray, "..."]:
     sd = np.maximum(np.maximum(before.noise, after.noise), 1e-12)
     bent = (np.abs(way - mean * tau[..., None]) - reach - late) / (sd * np.sqrt(variance + tau**2 * drift)[..., None])
     far = (np.abs(way) - limits.speed * tau[..., None] - late) / (sd * np.sqrt(variance)[..., None])
-    return np.maximum(0.0, np.maximum(bent, far).max(axis=-1))
+    worst = np.maximum(bent, far)
+    # Across a pause the heading may have turned either way.
+    worst[..., 2] = np.where(tau > PAUSE, 0.0, worst[..., 2])
+    return np.maximum(0.0, worst.max(axis=-1))
 
 
 class _Body:
@@ -147,7 +152,9 @@ def longest_chain(track: Track) -> Chain:
 
 def _heaviest(track: Track, seen: list[Int[np.ndarray, " k"]], limits: Bounds) -> list[int]:
     """The numbers of the bodies in the longest chain, one after the other."""
-    first, last = (End(*map(np.array, zip(*(end_of(track, limits.noise, b, side) for b in seen), strict=True))) for side in (0, 1))
+    first, last = (
+        End(*map(np.array, zip(*(end_of(track, limits.noise, b, side) for b in seen), strict=True))) for side in (0, 1)
+    )
     total, came = np.array([body.size for body in seen]), np.full(len(seen), -1)
     for k in range(1, len(seen)):
         before, after = End(*(part[:k] for part in last)), End(*(part[k] for part in first))

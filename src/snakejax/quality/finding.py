@@ -70,4 +70,6 @@ class Finding(NamedTuple):
 def finding(kind: str, track: Track, frames: Int[np.ndarray, " k"], what: str, remedy: str, **more) -> Finding:
     """A finding on `frames` of `track`, which has at least one."""
     frames = np.asarray(frames, int)
-    return Finding(kind, what, remedy, float(track.times[frames[0]]), float(track.times[frames[-1]]), frames=frames, **more)
+    return Finding(
+        kind, what, remedy, float(track.times[frames[0]]), float(track.times[frames[-1]]), frames=frames, **more
+    )

@@ -14,9 +14,11 @@ FEW = 3
 """So many frames off the path are a teleport, more another body."""
 BRIEF = 0.08
 """Across four times this [s] the path can be told from how it is before and after."""
+LATEST = 1.0
+"""Clocks that jump by more than this [s] are not told from other bodies."""
 SHORTEST = 1.0
 """A run cut off at a jump of its clock is worth fitting from this length [s] on."""
-UNLIKE = "the motion is not smooth there: look at the path; window_s chooses the good part of the run"
+UNLIKE = "they count as lost; window_s chooses the good part of a run"
 
 
 def jumps(track: Track) -> list[Finding]:
@@ -27,44 +29,42 @@ def jumps(track: Track) -> list[Finding]:
     chain = longest_chain(seen)
     if chain.kept.all():
         return []
-    frames = np.flatnonzero(track.present)
     away = _groups(chain.kept)
     for group in away:
         if (found := _clock_jump(track, seen, chain, group)) is not None:
             return [found, *jumps(track.without(found.frames))]
-    what_else = "" if chain.rival < RIVAL else "; it is not clear which is the board"
-    found = []
-    for group in away:
-        size, unit = _distance(seen, chain, group)
-        off = f"{size:.3g} {unit} off the path"
-        if group.size <= FEW:
-            kind, what = "teleport", f"{'one frame lies' if group.size == 1 else f'{group.size} frames lie'} {off}"
-        elif _reordered(seen, chain, group):
-            kind, what = "reordered", f"{group.size} frames lie on the path, but not in their order"
-        else:
-            kind, what = "swap", f"{group.size} frames lie {off}, as if another body were followed"
-            if group[0] == 0 or group[-1] == len(seen.times) - 1:
-                what += " from the start on" if group[0] == 0 else " to the end"
-        refused = kind == "swap" and bool(what_else)
-        found.append(
-            finding(
-                kind,
-                track,
-                frames[group],
-                what + (what_else if refused else ""),
-                UNLIKE,
-                size=size,
-                unit=unit,
-                action="none" if refused else "mask",
-                severity="refused" if refused else "doubtful",
-            )
-        )
-    return found
+    return [_off_path(track, seen, chain, group) for group in away]
+
+
+def _off_path(track: Track, seen: Track, chain: Chain, group: Int[np.ndarray, " k"]) -> Finding:
+    """A group of frames beside the path, by how many they are and whether they lie on it at other times."""
+    frames = np.flatnonzero(track.present)[group]
+    size, unit = _distance(seen, chain, group)
+    where = f"{size:.3g} {unit} off the path at {track.times[frames[0]]:.2f} s"
+    action, severity = "mask", "doubtful"
+    if group.size <= FEW:
+        kind, what = "teleport", f"{'one frame lies' if group.size == 1 else f'{group.size} frames lie'} {where}"
+    elif _reordered(seen, chain, group):
+        kind, what = "reordered", f"{group.size} frames from {track.times[frames[0]]:.2f} s on are not in their order"
+    else:
+        kind, what = "swap", f"{group.size} frames lie {where}, as if another body were followed"
+        # What goes on where a clock that jumped might have left it would be late for the gait.
+        late = group[0] == 0 and _within(seen, chain, group)
+        if late or chain.rival > RIVAL:
+            action, severity = "none", "refused"
+            what += "; it is not clear which is the board"
+    return finding(kind, track, frames, what, UNLIKE, size=size, unit=unit, action=action, severity=severity)
 
 
 def _groups(kept: np.ndarray) -> list[Int[np.ndarray, " k"]]:
     off = np.flatnonzero(~kept)
     return np.split(off, np.flatnonzero(np.diff(off) > 1) + 1)
+
+
+def _within(seen: Track, chain: Chain, group: Int[np.ndarray, " k"]) -> bool:
+    """Whether the board gets from the last frame of `group` to the next in `LATEST`."""
+    way = np.abs(seen.pose[group[-1] + 1] - seen.pose[group[-1]])
+    return bool((way[:2] <= LATEST * chain.bounds.speed[:2]).all())
 
 
 def _ways(seen: Track, chain: Chain, group: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k 3"]:
@@ -87,11 +87,9 @@ def _ways(seen: Track, chain: Chain, group: Int[np.ndarray, " k"]) -> Float[np.n
 
 def _distance(seen: Track, chain: Chain, group: Int[np.ndarray, " k"]) -> tuple[float, str]:
     off = seen.pose[group] - _ways(seen, chain, group)
-    noise = np.median(chain.bounds.noise, axis=0)
-    far = float(np.linalg.norm(off[:, :2], axis=1).max())
-    if far > SURE * float(np.hypot(*noise[:2])):
-        return far, "m"
-    return float(np.abs(off[:, 2]).max()), "rad"
+    noise = np.maximum(np.median(chain.bounds.noise, axis=0), 1e-12)
+    far, turned = float(np.linalg.norm(off[:, :2], axis=1).max()), float(np.abs(off[:, 2]).max())
+    return (far, "m") if far / np.hypot(*noise[:2]) > turned / noise[2] else (turned, "rad")
 
 
 def _reordered(seen: Track, chain: Chain, group: Int[np.ndarray, " k"]) -> bool:
@@ -125,6 +123,8 @@ def _clock_jump(track: Track, seen: Track, chain: Chain, group: Int[np.ndarray, 
     noise = chain.bounds.noise
     a, b = end_of(seen, noise, before, True), end_of(seen, noise, after, False)
     tau = float(b.time - a.time)
+    if tau > LATEST / 4:
+        return None
     speed, way = (a.speed + b.speed) / 2, b.place - a.place
     sd = np.maximum(np.maximum(a.noise, b.noise), 1e-12)
     spread = a.place_variance + b.place_variance + tau**2 * (a.speed_variance + b.speed_variance) / 4
@@ -134,12 +134,12 @@ def _clock_jump(track: Track, seen: Track, chain: Chain, group: Int[np.ndarray, 
     reach = chain.bounds.acceleration * (tau + abs(T)) ** 2 / 4
     noisy = SURE * sd * np.sqrt(spread + T**2 * (a.speed_variance + b.speed_variance) / 4)
     explains = (np.abs(way - tau * speed) > 2 * (apart + 0.5 * noisy)).any()
-    if not ((apart <= reach + noisy).all() and explains and abs(T) <= 1.0):
+    if not ((apart <= reach + noisy).all() and explains and abs(T) <= LATEST):
         return None
     frames = np.flatnonzero(track.present)
     around = np.abs(seen.times - b.time) < 2 * abs(T) + 2.5 * chain.bounds.frame
     if abs(T) < BRIEF and abs(_lag(seen, np.flatnonzero(around))) < abs(T) / 2:
-        what = f"{around.sum()} frames around {b.time:.2f} s are not in their order: before and after them all is well"
+        what = f"{around.sum()} frames from {seen.times[around][0]:.2f} s on are not in their order"
         size = float(np.hypot(*(T * speed[:2])))
         return finding("reordered", track, frames[around], what, UNLIKE, size=size, unit="m", action="mask")
     frames = frames[after[0] :]

@@ -10,6 +10,8 @@ from .finding import Track
 MAD_TO_SD = 1.4826
 TAIL, LONG = 7, 17
 """Frames at the end of a stretch that say where it is and how fast: few for the next frame, more across a pause."""
+BRIEF = 0.165
+"""Within this time [s] a parabola is good for the way of a board."""
 BLOCK = 60
 """Bends, one after the other, that show the noise where they are."""
 WINDOW = 0.12
@@ -106,9 +108,14 @@ class End(NamedTuple):
     known: np.ndarray
 
 
-def end_of(track: Track, noise: Float[np.ndarray, "n c"], frames: Int[np.ndarray, " k"], last: bool, most: int = LONG) -> End:
-    """The end of the stretch `frames` (its beginning, unless `last`): of a parabola through its nearest `most` frames."""
+def end_of(
+    track: Track, noise: Float[np.ndarray, "n c"], frames: Int[np.ndarray, " k"], last: bool, most: int = LONG
+) -> End:
+    """The end of the stretch `frames` (its beginning, unless `last`): of a parabola through the `most` nearest."""
     near = frames[-most:] if last else frames[:most]
+    end = track.times[near[-1] if last else near[0]]
+    soon = np.abs(track.times[near] - end) <= BRIEF
+    near = near[soon] if soon.sum() >= 4 else near[-4:] if last else near[:4]
     at = track.times[near[-1] if last else near[0]]
     if near.size == 1:
         place, speed, variances = track.pose[near[0]], np.zeros(track.pose.shape[1]), (1.0, 0.0)
@@ -116,4 +123,6 @@ def end_of(track: Track, noise: Float[np.ndarray, "n c"], frames: Int[np.ndarray
         inverse = np.linalg.pinv(np.vander(track.times[near] - at, min(3, near.size), increasing=True))
         place, speed = (inverse @ track.pose[near])[:2]
         variances = (inverse[:2] ** 2).sum(axis=1)
-    return End(np.asarray(at), place, speed, *map(np.asarray, variances), noise[near].max(axis=0), np.asarray(near.size > 1))
+    return End(
+        np.asarray(at), place, speed, *map(np.asarray, variances), noise[near].max(axis=0), np.asarray(near.size > 1)
+    )

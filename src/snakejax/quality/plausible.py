@@ -73,14 +73,26 @@ def up_axis(track: Track) -> list[Finding]:
     # Of noise alone these quantiles are 4.1 standard deviations apart.
     still = spread <= LEVEL * 4.1 * noise
     along = int(spread[:2].argmax())
-    if not (still[2] and noise[2] > 0 and spread[along] > 0.05 and (still[1 - along] or spread[1 - along] < FLAT * spread[along])):
+    if not (
+        still[2]
+        and noise[2] > 0
+        and spread[along] > 0.05
+        and (still[1 - along] or spread[1 - along] < FLAT * spread[along])
+    ):
         return []
     what = f"{CHANNELS[1 - along]} and the heading stand still while {CHANNELS[along]} goes {spread[along]:.2g} m"
     frames = np.flatnonzero(track.present)
     remedy = "export it with the axis up that the file states"
     return [
         finding(
-            "up_axis", track, frames, f"{what}: does that axis point up?", remedy, size=float(spread[along]), unit="m", severity="refused"
+            "up_axis",
+            track,
+            frames,
+            f"{what}: does that axis point up?",
+            remedy,
+            size=float(spread[along]),
+            unit="m",
+            severity="refused",
         )
     ]
 
@@ -98,7 +110,7 @@ def start(track: Track) -> list[Finding]:
         left = channel - basis @ coefficients
         variance = float(left @ left) / (times.size - 4) * np.linalg.inv(basis.T @ basis)[1, 1]
         speed = float(coefficients[1])
-        if abs(speed) > REST_SPEED[name] + 5 * np.sqrt(variance):
+        if abs(speed) > REST_SPEED[name] + 4 * np.sqrt(variance):
             what = f"{name} already moves at {speed:.2g} {unit}/s at the start, which is to be at rest"
             frames, remedy = np.flatnonzero(early), 'write start = "moving" for this run'
             found.append(finding("not_at_rest", track, frames, what, remedy, size=abs(speed), unit=f"{unit}/s"))
@@ -126,7 +138,8 @@ def shaking(track: Track) -> list[Finding]:
     if shaky.any() and shaky.mean() < 0.5:
         where = frames[np.concatenate([blocks[k] for k in np.flatnonzero(shaky)])]
         size = float(worst.max())
-        what = f"{where.size} frames are up to {size:.2g} times as noisy as the others, around {track.times[where[0]]:.2f} s"
+        at = f"from {track.times[where[0]]:.2f} s on"
+        what = f"{where.size} frames {at} are up to {size:.2g} times as noisy as the others"
         remedy = "--robust counts outliers less; window_s chooses a part of the run"
         found.append(finding("jitter", track, where, what, remedy, size=size))
     return found

@@ -1,6 +1,6 @@
 """What is found in a recording, one defect after the other, and the recording with the safe remedies applied."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -41,7 +41,10 @@ class Inspection(NamedTuple):
         """This. **Raises:** `InputError` for the first finding with which nothing should be fitted."""
         for f in self.findings:
             if f.severity == "refused" and not self.as_recorded:
-                raise InputError(f"{f.what[0].upper()}{f.what[1:]}", f"run {f.run}", f"{f.remedy}; or --as-recorded")
+                where = f"{self.case.name}, run {f.run}"
+                raise InputError(
+                    f"{f.what[0].upper()}{f.what[1:]}", where, f"{f.remedy}; --as-recorded fits it as it is"
+                )
         return self
 
 
@@ -66,8 +69,7 @@ def inspect(track: Track, corners: Corners | None = None) -> tuple[Track, list[F
                 now = turned_back(now)
         return now
 
-    apply(gaps, track)
-    for look in (units, up_axis):
+    for look in (gaps, stray, units, up_axis):
         apply(look, track)
     if any(f.severity == "refused" for f in found):
         return track, found
@@ -75,7 +77,9 @@ def inspect(track: Track, corners: Corners | None = None) -> tuple[Track, list[F
     apply(copied, mended)
     for detector in (frozen, flips, jumps):
         mended = apply(detector, mended)
-    for look in (half_turns, start, shaking, stray):
+        if any(f.severity == "refused" for f in found):
+            return mended, found
+    for look in (half_turns, start, shaking):
         apply(look, mended)
     return mended, found
 
@@ -90,7 +94,7 @@ def inspect_run(run: Run, corners: Corners | None = None) -> tuple[Run, list[Fin
     return eqx.tree_at(lambda r: r.pose, run, jnp.asarray(mended.pose)), found
 
 
-def mended(case: Case, as_recorded: bool = False) -> Inspection:
+def inspected(case: Case, as_recorded: bool = False) -> Inspection:
     """What is found in the runs of `case`, and the case as it may be fitted; with `as_recorded`, untouched."""
     runs, findings = [], []
     for run in case.runs:
