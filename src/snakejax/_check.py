@@ -107,7 +107,7 @@ def _noise(case: Case) -> Iterator[Doubt]:
     except InputError as error:
         yield Doubt(None, f"the noise cannot be estimated: {error.what}", "note")
         return
-    source = "" if seen.source == "estimated from the recordings" else f", {seen.source}"
+    source = f" ({seen.source})" if "share it" in seen.source else ""
     for name, unit in (("position", "m"), ("heading", "rad")):
         estimated = float(getattr(seen, name))
         if case.noise is None:

@@ -31,7 +31,7 @@ class Track(NamedTuple):
     @property
     def present(self) -> Bool[np.ndarray, " n"]:
         """Which frames were seen."""
-        return np.isfinite(self.pose).all(axis=1)
+        return np.asarray(np.isfinite(self.pose).all(axis=1))
 
     def seen(self) -> "Track":
         """The frames that were seen."""

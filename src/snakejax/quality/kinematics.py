@@ -37,7 +37,7 @@ def bend(times: Float[np.ndarray, " n"], pose: Float[np.ndarray, "n c"]) -> Floa
     weights = 1 / np.prod(apart / np.median(np.diff(times)), axis=2)
     weights /= np.sqrt((weights**2).sum(axis=1, keepdims=True))
     n = len(times) - 3
-    return sum(weights[:, j, None] * pose[j : j + n] for j in range(4))
+    return np.sum([weights[:, j, None] * pose[j : j + n] for j in range(4)], axis=0)
 
 
 def scale(bends: Float[np.ndarray, "m c"]) -> Float[np.ndarray, " c"]:
@@ -118,11 +118,10 @@ def end_of(
     near = near[soon] if soon.sum() >= 4 else near[-4:] if last else near[:4]
     at = track.times[near[-1] if last else near[0]]
     if near.size == 1:
-        place, speed, variances = track.pose[near[0]], np.zeros(track.pose.shape[1]), (1.0, 0.0)
+        place, speed, variances = track.pose[near[0]], np.zeros(track.pose.shape[1]), np.array([1.0, 0.0])
     else:
         inverse = np.linalg.pinv(np.vander(track.times[near] - at, min(3, near.size), increasing=True))
         place, speed = (inverse @ track.pose[near])[:2]
         variances = (inverse[:2] ** 2).sum(axis=1)
-    return End(
-        np.asarray(at), place, speed, *map(np.asarray, variances), noise[near].max(axis=0), np.asarray(near.size > 1)
-    )
+    sure = (variances[0], variances[1], noise[near].max(axis=0), np.asarray(near.size > 1))
+    return End(np.asarray(at), place, speed, *sure)

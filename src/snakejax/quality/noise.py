@@ -34,6 +34,8 @@ REST = 1.0
 """Length [s] of the stretches that are searched for rest."""
 STILL = 1e-3
 """Rate [rad/s] below which a joint stands still."""
+SLOWER = {"repeats": "repeated runs", "rest": "times of rest"}
+"""The sources that see slow noise too, as a reader knows them."""
 KNOTS = 0.5
 """Two runs of one gait may differ by something as slow as this [s] that is no noise: the floor, the start."""
 ALIKE = (0.05, 0.1)
@@ -62,18 +64,19 @@ def estimate_noise(runs: Sequence[Run]) -> Noise:
     **Raises:** `InputError` where too few frames are whole, or the samples repeat so that no noise is seen.
     """
     found = noise_sources(runs)
-    white = found["differences"]
-    for name, words in (("repeats", "runs of one gait"), ("rest", "rest")):
-        if name in found:
-            one = found[name]
-            margin = COLOURED + 3 / math.sqrt(one.samples)
-            if one.position > margin * white.position or one.heading > margin * white.heading:
-                # A channel whose noise is white keeps what the many differences say.
-                position = one.position if one.position > margin * white.position else white.position
-                heading = one.heading if one.heading > margin * white.heading else white.heading
-                source = f"estimated from {words}: neighbouring frames share a part of it"
-                return Noise(np.asarray(position), np.asarray(heading), source)
-    return Noise(np.asarray(white.position), np.asarray(white.heading), "estimated from the recordings")
+    white, slower = found["differences"], [name for name in SLOWER if name in found]
+    for name in slower:
+        one = found[name]
+        margin = COLOURED + 3 / math.sqrt(one.samples)
+        above = [slow > margin * fast for slow, fast in zip(one[:2], white[:2], strict=True)]
+        if any(above):
+            # A channel whose noise is white keeps what the many differences say.
+            sds = [slow if coloured else fast for slow, fast, coloured in zip(one[:2], white[:2], above, strict=True)]
+            return Noise(
+                *map(np.asarray, sds), source=f"estimated from {SLOWER[name]}, as neighbouring frames share it"
+            )
+    agree = f"; {' and '.join(SLOWER[name] for name in slower)} agree" if slower else ""
+    return Noise(np.asarray(white.position), np.asarray(white.heading), f"estimated from the recordings{agree}")
 
 
 def noise_sources(runs: Sequence[Run]) -> dict[str, Source]:
@@ -103,7 +106,7 @@ def differences(runs: Sequence[Run]) -> Source:
     if min(position.size, heading.size) < FEWEST:
         what = f"Only {heading.size} stretches of {ORDER + 1} frames are whole: too few to estimate the noise"
         raise InputError(what, "all runs", "give position_m and heading_rad under [noise] in case.toml")
-    sds = [_clipped_sd(d) for d in (position, heading)]
+    sds = _clipped_sd(position), _clipped_sd(heading)
     if not min(sds) > 0:
         what = "Most samples repeat the one before, so that no noise can be estimated"
         raise InputError(what, "all runs", "give position_m and heading_rad under [noise] in case.toml")
@@ -130,7 +133,7 @@ def rest(runs: Sequence[Run]) -> Source | None:
     left = []
     for run in runs:
         times, pose = np.asarray(run.times), np.asarray(run.pose)
-        still = None
+        still: np.ndarray | None = None
         size = max(FEWEST, round(REST / float(np.median(np.diff(times)))))
         k = 0
         while k + size <= len(times):
@@ -147,7 +150,7 @@ def rest(runs: Sequence[Run]) -> Source | None:
             unmoved = (went < 3 * off.std(axis=0)).all()
             if unmoved and still is None:
                 still = _still(run)
-            if unmoved and still[piece].all():
+            if unmoved and still is not None and still[piece].all():
                 left.append(off)
                 k += size
             else:
