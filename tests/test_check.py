@@ -59,7 +59,7 @@ def test_noise_is_estimated():
         noise = estimate_noise([run(seed=10 * seed + i) for i in range(6)])
         assert float(noise.position) == pytest.approx(POSITION, rel=0.03)
         assert float(noise.heading) == pytest.approx(HEADING, rel=0.04)
-        assert noise.source == "estimated from the recordings"
+        assert noise.source == "estimated from the recordings; repeated runs agree"
 
 
 def test_noise_estimate_withstands_jumps_and_gaps():

@@ -29,7 +29,7 @@ def run(seed, start=(0.0, 0.0, 0.0), slow=0.0, frequency=4.0, still=None, floor=
     wave = 1 - np.cos(0.5 * t)
     path = np.stack([wave + 0.1 * np.sin(frequency * t) ** 2, 0.5 * wave, 0.6 * np.sin(2 * t) ** 2], axis=1)
     c, s = np.cos(start[2]), np.sin(start[2])
-    pose = path + [0.0, 0.0, start[2]]
+    pose = path + np.array([0.0, 0.0, start[2]])
     pose[:, :2] = path[:, :2] @ np.array([[c, s], [-s, c]]) + start[:2]
     pose[:, 0] += floor * TIMES**2
     pose += SD * coloured(rng, len(t), slow)
@@ -65,7 +65,7 @@ def test_what_is_fixed_in_the_world_is_no_noise():
 
 @pytest.mark.parametrize(("place", "rel"), [((0.0, 0.0, 0.0), 0.12), ((1.0, 0.5, 2.0), 0.25)])
 def test_coloured_noise_is_seen_in_repeated_runs(place, rel):
-    """From the same start all of it; from elsewhere what is faster than half a second. Neighbouring frames miss half."""
+    """From the same start all of it; from elsewhere what is faster than half a second. Differences miss half."""
     runs = [run(1, slow=0.75), run(2, place, slow=0.75)]
     white = noise_sources(runs)["differences"]
     assert white.position < 0.65 * SD[0] and white.heading < 0.65 * SD[2]

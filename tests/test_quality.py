@@ -42,7 +42,7 @@ SIZES = [
 
 @pytest.fixture(scope="module")
 def clean():
-    """The bundled recordings as they are, and smoothed with noise made anew: three of each."""
+    """The bundled recordings as they are, and smoothed with noise made anew."""
     from scipy.interpolate import make_smoothing_spline
 
     tracks = []
@@ -55,9 +55,8 @@ def clean():
             )
             rng = np.random.default_rng(number)
             tracks.append(track)
-            for _ in range(3):
-                noisy = smooth + rng.normal(size=smooth.shape) * [4e-4, 4e-4, 2.5e-3]
-                tracks.append(track._replace(pose=np.where(track.present[:, None], noisy, np.nan)))
+            noisy = smooth + rng.normal(size=smooth.shape) * [4e-4, 4e-4, 2.5e-3]
+            tracks.append(track._replace(pose=np.where(track.present[:, None], noisy, np.nan)))
     return tracks
 
 
@@ -96,13 +95,13 @@ def test_a_defect_is_found_where_it_is(clean, name, size, masked):
         found += bool(at) or (name == "gap" and any(f.kind == "gap" for f in findings))
         there = made.frames[made.track.present[made.frames]]
         lost, bad = lost + int((~mended.present[there]).sum()), bad + there.size
-    assert spoiled >= 40
+    assert spoiled >= 20
     assert found >= 0.95 * spoiled, f"{found} of {spoiled}"
     assert lost >= masked * bad, f"{lost} of {bad} frames"
 
 
 def test_flipped_headings_are_turned_back(clean):
-    for number, track in enumerate(clean[::4]):
+    for number, track in enumerate(clean[::2]):
         made = defects.flip(track, 50, np.random.default_rng(number))
         mended, (found,) = inspect(made.track)
         assert found.applied and found.size == pytest.approx(np.pi)

@@ -236,8 +236,8 @@ def marker_noise(markers: Float[np.ndarray, "n m d"]) -> Noise:
 
     Each frame is laid upon the mean shape by the rigid motion of least squares; of the d m numbers of a frame d (d + 1)
     / 2 go into that motion, and d (m - 1) of all frames into the shape. With s the standard deviation of one coordinate
-    that is left, the body's position has s / sqrt(m), and its heading s / sqrt(sum r^2) for distances r in the plane of
-    the first two axes. What moves all markers alike is not seen.
+    that is left, the body's position has s / sqrt(m), and its heading, the rotation about the third axis, s times the
+    root of the last diagonal entry of the inverse of sum (r^2 1 - r r^T). What moves all markers alike is not seen.
 
     **Raises:** `InputError` for fewer than 3 markers or 10 frames with all of them.
     """
@@ -263,8 +263,12 @@ def marker_noise(markers: Float[np.ndarray, "n m d"]) -> Noise:
     each = np.sqrt((left**2).sum(axis=(1, 2)))
     if (good := each < CLIP * np.median(each)).sum() < n:
         return marker_noise(whole[good])
-    arms = math.sqrt(float((centred[..., :2] ** 2).sum(axis=(1, 2)).mean()))
-    return Noise(np.asarray(sd / math.sqrt(m)), np.asarray(sd / arms), "estimated from the markers")
+    squares = np.einsum("nmi,nmj->nij", centred, centred)
+    size = np.trace(squares, axis1=1, axis2=2)
+    about = size[:, None, None] * np.eye(d) - squares
+    spread = 1 / size if d == 2 else np.linalg.pinv(about)[:, 2, 2]
+    heading = sd * math.sqrt(float(spread.mean()))
+    return Noise(np.asarray(sd / math.sqrt(m)), np.asarray(heading), "estimated from the markers")
 
 
 def _turns(frames: Float[np.ndarray, "n m d"], shape: Float[np.ndarray, "m d"]) -> Float[np.ndarray, "n d d"]:
