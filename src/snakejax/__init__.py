@@ -8,6 +8,7 @@ import importlib.metadata
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from ._align import fit_logged as fit_logged
     from ._board import TABLE_II as TABLE_II
     from ._board import Board as Board
     from ._board import Wheelset as Wheelset
@@ -53,6 +54,7 @@ if TYPE_CHECKING:
     from ._rayleigh import nearest_rayleigh as nearest_rayleigh
     from ._rayleigh import polynomial as polynomial
     from ._recording import Case as Case
+    from ._recording import LogClock as LogClock
     from ._recording import Noise as Noise
     from ._recording import Run as Run
     from ._simulate import Accuracy as Accuracy
@@ -78,6 +80,7 @@ if TYPE_CHECKING:
     from .quality import noise_sources as noise_sources
 
 _HOMES = {
+    "_align": "fit_logged",
     "_board": "TABLE_II Board Wheelset",
     "_case": "load_case",
     "_check": "check",
@@ -93,7 +96,7 @@ _HOMES = {
     "_prepare": "prepare_jax",
     "_presets": "Preset preset",
     "_rayleigh": "Polynomial nearest_rayleigh polynomial",
-    "_recording": "Case Noise Run",
+    "_recording": "Case LogClock Noise Run",
     "_simulate": "Accuracy Trajectory motions simulate",
     "_starter": "starter",
     "_sweep": "Axes grid sweep table",

@@ -20,7 +20,7 @@ from ._compare import Comparison, Side
 from ._errors import InputError, at_line
 from ._fit import MODELS, Estimate, Fit, RunScore, Score
 from ._model import Model
-from ._recording import Case, Noise
+from ._recording import Case, Noise, Run
 from ._skid import SKIDS, Ideal
 from ._tyre import Bakker, Rayleigh
 from ._units import parameters
@@ -142,6 +142,13 @@ def quality_json(seen: Inspection) -> Json:
         ],
         "masked": seen.masked,
     }
+
+
+def joint_logs_json(runs: Sequence[Run]) -> Json:
+    """How the clocks of the joint logs go, where there are any."""
+    logs = [{"run": run.name, **run.log._asdict()} for run in runs if run.log is not None]
+    renamed = {"offset": "offset_s", "offset_sd": "offset_sd_s", "free": "estimated"}
+    return {"joint_logs": [{renamed.get(k, k): v for k, v in log.items()} for log in logs]} if logs else {}
 
 
 def run_json(score: RunScore) -> Json:
@@ -297,6 +304,7 @@ def fit_json(
             "correlation": correlation_json(found),
             "combinations": combinations_json(found.combinations),
             "advice": list(found.advice),
+            **joint_logs_json(found.study.runs),
             "converged": found.optimum.converged,
             "seconds": seconds,
         }

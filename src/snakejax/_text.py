@@ -13,7 +13,7 @@ from ._compare import Comparison, Side
 from ._fit import Estimate, Fit, RunScore, Score
 from ._json import model_kind, short, skid_kind
 from ._model import Model
-from ._recording import Case, Noise
+from ._recording import Case, Noise, Run
 from ._skid import Ideal
 from ._units import parameters
 from .quality import Inspection
@@ -142,6 +142,19 @@ def combinations_table(combinations: Mapping[str, Estimate]) -> Table:
     return table
 
 
+def log_clocks_table(runs: Sequence[Run]) -> Table:
+    """How the clocks of the joint logs go, as far as they were estimated."""
+    right = ("offset [ms]", "+-", "drift [1e-6]", "+- ")
+    table = plain_table("run", *right, "from", right=right)
+    for run in runs:
+        if run.log is not None:
+            log = run.log
+            late, fast = (None if sd is None else sd * unit for sd, unit in ((log.offset_sd, 1e3), (log.drift_sd, 1e6)))
+            cells = number(1e3 * log.offset, late), error(late), number(1e6 * log.drift, fast), error(fast)
+            add_row(table, run.name, *cells, log.source)
+    return table
+
+
 def score_line(role: str, score: Score) -> str:
     """One role's score as a sentence."""
     return (
@@ -190,6 +203,8 @@ def fit_report(case: Case, noise: Noise, found: Fit, intervals: Mapping[str, Int
         indented(fit_table(found, intervals)),
         indented(runs_table([*found.runs, *found.heldout])),
     ]
+    if any(run.log is not None and run.log.free for run in found.study.runs):
+        parts.append(indented(log_clocks_table(found.study.runs)))
     if found.combinations:
         parts.append(indented(combinations_table(found.combinations)))
     parts.append(Text(score_line("train", found.train_score)))

@@ -72,14 +72,17 @@ def wanted(options: argparse.Namespace) -> dict[str, Any]:
 def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     """Explain one case."""
     from .. import plot
+    from .._align import with_clocks
     from .._explain import explain
-    from .._json import provenance_json, write_whole
+    from .._fit import starting_model
+    from .._json import joint_logs_json, provenance_json, write_whole
     from .._starter import starter
     from .._story import explanation_json, explanation_text
     from ..quality import noise_of
 
     clock = Clock()
     noise = noise_of(case)
+    case = with_clocks(starting_model(case, options.model, options.skid), case, noise, say)
     found = explain(case, noise, library(options), **wanted(options), progress=say)
     provenance = provenance_json(options.seed, given(options), case.sha256)
 
@@ -92,4 +95,5 @@ def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
         if found.missing.shape is not None:
             write_whole(folder / "missing_force.py", starter(found.missing))
 
-    return Outcome(explanation_json(found, provenance, clock.seconds()), explanation_text(found), write)
+    result = {**explanation_json(found, provenance, clock.seconds()), **joint_logs_json(case.runs)}
+    return Outcome(result, explanation_text(found), write)
