@@ -70,7 +70,7 @@ def align(found: Fit) -> tuple[tuple[Run, ...], float]:
         numbers = [k for k in study.numbered(role) if (log := study.runs[k].log) is not None and log.free]
         if optimum is None or not numbers:
             continue
-        step, covariance = _step(study, optimum, study.numbered(role), role == "train")
+        step, covariance = _step(study, optimum, study.numbered(role), found.optimum)
         errors = np.sqrt(np.diag(covariance)) * spread(optimum)
         place = iter(range(len(step)))
         for k in study.numbered(role):
@@ -102,9 +102,15 @@ def _moved(run: Run, step: dict[str, float], sd: dict[str, float]) -> Run:
     return dataclasses.replace(run, gait=on_clock(run.gait, jnp.asarray(offset), jnp.asarray(drift)), log=new)
 
 
-def _step(study: Study, optimum: Optimum, numbers: list[int], fitted: bool) -> tuple[np.ndarray, np.ndarray]:
-    """The move (c,) of the clocks of the runs `numbers`, run by run, and its covariance for unit noise."""
-    loose = [optimum.free.index(name) for name in optimum.loose] if fitted else []
+def _step(study: Study, optimum: Optimum, numbers: list[int], fitted: Optimum) -> tuple[np.ndarray, np.ndarray]:
+    """The move (c,) of the clocks of the runs `numbers`, run by run, and its covariance for unit noise.
+
+    Parameters that `optimum` holds where the `fitted` one has them move no clock, but their errors are in its own.
+    """
+    loose = [fitted.free.index(name) for name in fitted.loose]
+    if optimum is not fitted:
+        there = study.at(optimum.values, fitted.free, optimum.start)
+        optimum = optimum._replace(linearised=study.evaluate(there, numbers))
     columns = {name: _column(study, optimum, numbers, name) for name in STEPS}
     count = sum(len(_free(study.runs[k])) for k in numbers)
     free_start = np.asarray(study.batch.free_start)
@@ -122,8 +128,13 @@ def _step(study: Study, optimum: Optimum, numbers: list[int], fitted: bool) -> t
             at += len(names)
         normal += part.T @ part
         pull -= part.T @ r
-    covariance = inverse(normal)
-    return (covariance @ pull)[:count], covariance[:count, :count]
+    if fitted.free == optimum.free:
+        covariance = inverse(normal)
+        return (covariance @ pull)[:count], covariance[:count, :count]
+    covariance = inverse(normal[:count, :count])
+    by_parameters = covariance @ normal[:count, count:]
+    step = covariance @ pull[:count]
+    return step, covariance + by_parameters @ fitted.covariance @ by_parameters.T
 
 
 def _without_starts(optimum: Optimum, run: int, width: int, free: np.ndarray, columns: np.ndarray) -> np.ndarray:

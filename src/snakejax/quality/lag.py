@@ -28,7 +28,7 @@ STEP, COARSE = 0.01, 0.05
 WHOLE = 1.0
 """Lags of commanded gaits are looked for within this [s]."""
 APART = 0.25
-"""A lag [s] beyond what tyres and lagging joints were seen to look like: 0.06 s over a run, 0.2 s from half to half."""
+"""A lag [s] beyond what tyres and lagging joints were seen to look like: 0.06 s."""
 HARDLY = 0.5
 """Joints that leave more of the yaw rate than this share do not go together with the motion."""
 MODEL_ERROR = 0.05
@@ -52,11 +52,6 @@ class _Seen(NamedTuple):
     fine: Float[np.ndarray, " m"]
     phi: Float[np.ndarray, " m"]
     psi: Float[np.ndarray, " m"]
-
-    def part(self, first: float) -> "_Seen":
-        """The half that begins after the share `first` of the time."""
-        span = slice(int(first * len(self.times)), int((first + 0.5) * len(self.times)))
-        return self._replace(times=self.times[span], u=self.u[span], r=self.r[span])
 
 
 def lag(run: Run, most: float = 2.0) -> Lag | None:
@@ -90,24 +85,14 @@ def with_log_clock(run: Run, clock: LogClock, begins: float) -> Run:
 
 def clocks(run: Run) -> list[Finding]:
     """Clocks of gait and cameras that are apart, or drift apart, by more than tyres and lagging joints look like."""
-    found, track = [], Track.of(run)
-    seen = _motion(run, WHOLE)
-    whole = None if seen is None else _best(seen, 0.0, WHOLE)
-    if seen is None or whole is None:
-        return found
+    found = lag(run, WHOLE)
+    if found is None or abs(found.offset) < APART:
+        return []
+    track, late = Track.of(run), "later" if found.offset < 0 else "earlier"
+    what = f"the joints move {abs(found.offset):.2g} s {late} than commanded, or their clock runs at another pace"
+    remedy = "correct the start of the recording or its frame rate, or let the fit find it: --effect clock_offset"
     every = np.flatnonzero(track.present)
-    if abs(whole.offset) > APART:
-        what = f"the joints move {abs(whole.offset):.2g} s {'later' if whole.offset < 0 else 'earlier'} than commanded"
-        remedy = "correct the start of the recording, or let the fit find it: --effect clock_offset"
-        found.append(finding("clock_offset", track, every, what, remedy, size=abs(whole.offset), unit="s"))
-    halves = [_best(seen.part(first), whole.offset, 0.3) for first in (0.0, 0.5)]
-    if halves[0] is not None and halves[1] is not None:
-        apart = abs(halves[1].offset - halves[0].offset)
-        if apart > APART:
-            what = f"the clocks of joints and cameras drift apart by {apart:.2g} s in half the run"
-            remedy = "correct the frame rate, or log the joints"
-            found.append(finding("clock_drift", track, every, what, remedy, size=apart, unit="s"))
-    return found
+    return [finding("clock_offset", track, every, what, remedy, size=abs(found.offset), unit="s")]
 
 
 def _motion(run: Run, most: float) -> _Seen | None:
