@@ -180,7 +180,10 @@ def _log_clock(row: Table) -> LogClock:
     """What `case.toml` says of the log's clock; what it says "estimate" for is 0 and free."""
     log = row.table("joint_log", _JOINT_LOG)
     free = tuple(key for key in ("offset_s", "drift") if log.values.get(key) == ESTIMATE)
-    domains = {"offset_s": Domain("s", -math.inf, math.inf, True, True), "drift": Domain("-", -0.1, 0.1, True, True)}
+    domains = {
+        "offset_s": Domain("s", -math.inf, math.inf, False, False),
+        "drift": Domain("-", -0.1, 0.1, False, False),
+    }
     known = {key: log.number(key, d) for key, d in domains.items() if key in log.values and key not in free}
     names = tuple(key.removesuffix("_s") for key in free)
     return LogClock(known.get("offset_s", 0.0), known.get("drift", 0.0), free=names)
