@@ -71,7 +71,7 @@ def test_a_given_clock_is_believed(tmp_path):
     raw = load_case(logged_case(tmp_path / "raw", "offset_s = -0.25"))
     assert case.runs[0].log == LogClock(-0.2, -0.01)
     t = 1.3
-    expected = raw.runs[0].gait.psi.at(jnp.asarray(t * 0.99 - 0.2)).angle
+    expected = raw.runs[0].gait.psi.at(jnp.asarray(t * 0.99 - 0.2 + 0.25)).angle
     np.testing.assert_allclose(case.runs[0].gait.psi.at(jnp.asarray(t)).angle, expected, rtol=1e-9)
 
 
