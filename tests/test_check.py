@@ -18,13 +18,13 @@ POSITION, HEADING = 4e-4, 2.5e-3
 
 
 def run(name="train-1", role="train", seed=0, noise=1.0, amplitude=0.9, moving=False):
-    """Twelve seconds of a board that starts from rest on a smooth curve, with white noise."""
+    """Twelve seconds of a board that starts from rest on a smooth curve, with white noise; its rotor rests."""
     t = np.arange(FRAMES) / RATE
     rng = np.random.default_rng(seed)
     wave = 1 - np.cos(0.5 * t)
     pose = np.stack([wave + 0.1 * np.sin(4 * t) ** 2, 0.5 * wave, 0.6 * np.sin(2 * t) ** 2], axis=1)
     pose += noise * rng.normal(size=pose.shape) * [POSITION, POSITION, HEADING]
-    gait = Gait(Tracked(Sines.of([[amplitude, 4.0, 0.0]]), 100.0, 10.0), Sines.of([[1.5, 4.0, 0.0]]))
+    gait = Gait(Tracked(Sines.of([[amplitude, 4.0, 0.0]]), 100.0, 10.0), Sines.of([]))
     return Run(name, role, jnp.asarray(t), jnp.asarray(pose), gait, moving=moving)
 
 

@@ -29,8 +29,8 @@ WHOLE = 1.0
 """Lags of commanded gaits are looked for within this [s]."""
 APART = 0.25
 """A lag [s] beyond what tyres and lagging joints were seen to look like: 0.06 s."""
-HARDLY = 0.5
-"""Joints that leave more of the yaw rate than this share do not go together with the motion."""
+CLEARLY, HARDLY = 0.2, 0.5
+"""Joints that leave less of the yaw rate than the first share tell the lag; more than the second, nothing at all."""
 MODEL_ERROR = 0.05
 """What the tyres, and joints that lag, move the lag by [s]: the standard error where the noise is smaller."""
 
@@ -86,7 +86,7 @@ def with_log_clock(run: Run, clock: LogClock, begins: float) -> Run:
 def clocks(run: Run) -> list[Finding]:
     """Clocks of gait and cameras that are apart, or drift apart, by more than tyres and lagging joints look like."""
     found = lag(run, WHOLE)
-    if found is None or abs(found.offset) < APART:
+    if found is None or found.left > CLEARLY or abs(found.offset) < APART:
         return []
     track, late = Track.of(run), "later" if found.offset < 0 else "earlier"
     what = f"the joints move {abs(found.offset):.2g} s {late} than commanded, or their clock runs at another pace"
