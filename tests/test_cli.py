@@ -6,6 +6,7 @@ import json
 import math
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -278,6 +279,53 @@ def test_fit_writes_what_the_contract_says(fitted: tuple[dict, Path]) -> None:
     assert [set(run) >= {"run", "role", "misfit", "worst_time_s", "channels"} for run in found["runs"]] == [True, True]
     assert set(found["runs"][0]["channels"]) == {"x", "y", "heading"}
     assert set(found["seconds"]) == {"total", "compile"}
+
+
+def spoiled(short: Path, folder: Path, change: Callable[[list[str]], None]) -> Path:
+    """The small case with the lines of its train recording changed."""
+    shutil.copytree(short, folder)
+    path = folder / "train-forward-1.csv"
+    lines = path.read_bytes().decode().split("\r\n")
+    change(lines)
+    path.write_bytes("\r\n".join(lines).encode())
+    return folder
+
+
+def follow_another_body(lines: list[str]) -> None:
+    for row in range(200, 230):
+        cells = lines[row].split(",")
+        lines[row] = ",".join([*cells[:5], str(float(cells[5]) + 700), *cells[6:]])
+
+
+def test_what_is_wrong_with_a_recording_is_mended_and_said(say, short: Path, tmp_path: Path, fitted) -> None:
+    case = spoiled(short, tmp_path / "short-board", follow_another_body)
+    path = tmp_path / "spoiled.json"
+    said = say("fit", case, "--free", "B,D", "--set", "C=1.5,E=-0.12", "--json", path)
+    assert said.status == 0 and said.err == ""
+    assert said.out.index("30 frames masked") < said.out.index("parameter")
+    found = json.loads(path.read_text())
+    (finding,) = found["quality"]["findings"]
+    assert (finding["kind"], finding["run"], finding["applied"]) == ("swap", "train-forward-1", True)
+    assert (finding["from_s"], finding["to_s"]) == (pytest.approx(1.95), pytest.approx(2.24))
+    assert finding["size"] == pytest.approx(0.7, abs=0.01) and finding["unit"] == "m"
+    assert found["quality"]["masked"] == {"train-forward-1": 30}
+    clean_fit = fitted[0]
+    assert clean_fit["quality"] == {"as_recorded": False, "findings": [], "masked": {}}
+    for name in "BD":
+        before, after = (f["base"]["parameters"][name] for f in (clean_fit, found))
+        assert abs(after["value"] - before["value"]) < 2 * before["sd"]
+    raw = say("fit", case, "--free", "B,D", "--set", "C=1.5,E=-0.12", "--as-recorded", "--json", path, "--quiet")
+    assert raw == (0, "", "")
+    assert json.loads(path.read_text())["base"]["misfit"]["train"] > 1000
+
+
+def test_a_wrong_unit_is_refused_before_any_fit(say, short: Path, tmp_path: Path) -> None:
+    def in_metres(lines: list[str]) -> None:
+        lines[4] = lines[4].replace("mm", "m")
+
+    said = say("fit", spoiled(short, tmp_path / "short-board", in_metres), "--quiet")
+    assert said.status == 2 and LINE.fullmatch(said.err)
+    assert "is the unit of length right?, short-board, run train-forward-1: correct the unit" in said.err
 
 
 def test_fit_finds_the_answer(fitted: tuple[dict, Path]) -> None:

@@ -15,11 +15,11 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / "snakejax"
 # fmt: off
 ORDER = [
     "_prepare", "_errors", "_units", "_math", "_tyre", "_board", "_gait", "_recording", "_batch", "_effect", "_skid",
-    "_model", "_simulate", "_lanes", "_least_squares", "_study", "effects", "readers", "_toml", "_hints", "_case",
-    "_presets", "_check", "_template", "_understand", "_import", "_pieces", "_cluster", "_sweep", "_rayleigh",
-    "_windows", "_fit", "_replay", "_scenes", "_grip", "_compare", "_score", "_sight", "_diagnose", "_free_force",
-    "_dependence", "_missing", "_starter", "_explain", "_tune", "_json", "_text", "_story", "_palette", "_played",
-    "plot", "report", "_cli", "__main__", "__init__",
+    "_model", "_simulate", "_lanes", "_least_squares", "_study", "effects", "readers", "quality", "_toml", "_hints",
+    "_case", "_presets", "_check", "_template", "_understand", "_import", "_pieces", "_cluster", "_sweep",
+    "_rayleigh", "_windows", "_fit", "_align", "_replay", "_scenes", "_grip", "_compare", "_score", "_sight",
+    "_diagnose", "_free_force", "_dependence", "_missing", "_starter", "_explain", "_tune", "_json", "_text",
+    "_story", "_palette", "_played", "plot", "report", "_cli", "__main__", "__init__",
 ]
 # fmt: on
 CORE = ORDER[: ORDER.index("effects")]

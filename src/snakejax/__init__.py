@@ -8,13 +8,12 @@ import importlib.metadata
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from ._align import fit_logged as fit_logged
     from ._board import TABLE_II as TABLE_II
     from ._board import Board as Board
     from ._board import Wheelset as Wheelset
     from ._case import load_case as load_case
     from ._check import check as check
-    from ._check import estimate_noise as estimate_noise
-    from ._check import noise_of as noise_of
     from ._cluster import cluster as cluster
     from ._effect import Clock as Clock
     from ._effect import Command as Command
@@ -55,6 +54,7 @@ if TYPE_CHECKING:
     from ._rayleigh import nearest_rayleigh as nearest_rayleigh
     from ._rayleigh import polynomial as polynomial
     from ._recording import Case as Case
+    from ._recording import LogClock as LogClock
     from ._recording import Noise as Noise
     from ._recording import Run as Run
     from ._simulate import Accuracy as Accuracy
@@ -71,6 +71,13 @@ if TYPE_CHECKING:
     from ._tyre import Rayleigh as Rayleigh
     from ._units import Scalar as Scalar
     from ._units import param as param
+    from .quality import Finding as Finding
+    from .quality import Inspection as Inspection
+    from .quality import estimate_noise as estimate_noise
+    from .quality import inspected as inspected
+    from .quality import marker_noise as marker_noise
+    from .quality import noise_of as noise_of
+    from .quality import noise_sources as noise_sources
     from .readers import Capture as Capture
     from .readers import Hints as Hints
     from .readers import read_capture as read_capture
@@ -79,9 +86,10 @@ if TYPE_CHECKING:
     from .readers import write_tum as write_tum
 
 _HOMES = {
+    "_align": "fit_logged",
     "_board": "TABLE_II Board Wheelset",
     "_case": "load_case",
-    "_check": "check estimate_noise noise_of",
+    "_check": "check",
     "_cluster": "cluster",
     "_effect": "Clock Command Effect Floor Force Grip Layout Linkage Memory Motion Rolling Sensor Wheel",
     "_errors": "InputError",
@@ -94,13 +102,14 @@ _HOMES = {
     "_prepare": "prepare_jax",
     "_presets": "Preset preset",
     "_rayleigh": "Polynomial nearest_rayleigh polynomial",
-    "_recording": "Case Noise Run",
+    "_recording": "Case LogClock Noise Run",
     "_simulate": "Accuracy Trajectory motions simulate",
     "_starter": "starter",
     "_sweep": "Axes grid sweep table",
     "_tyre": "Bakker Pacejka Rayleigh",
     "_units": "Scalar param",
     "readers": "Capture Hints read_capture read_track write_csv write_tum",
+    "quality": "Finding Inspection estimate_noise inspected marker_noise noise_of noise_sources",
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names.split()}
 

@@ -4,7 +4,6 @@ import dataclasses
 import difflib
 import hashlib
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,9 +14,10 @@ from ._board import Board
 from ._errors import InputError
 from ._gait import AbstractSignal, Gait, Logged, Sines, Tracked
 from ._hints import HINT_KEYS, hints_of
-from ._recording import Case, Noise, Run
+from ._recording import Case, LogClock, Noise, Run
 from ._toml import Table, read_toml
 from ._units import Domain, require_x64
+from .quality import smoothed, with_log_clock
 from .readers import FEWEST_SAMPLES, read_joint_log, read_track
 
 SKIDS = ("free", "coupled")
@@ -25,7 +25,7 @@ ROLES = ("train", "heldout")
 STARTS = ("rest", "moving")
 KINDS = ("commanded", "measured")
 
-CASE_KEYS = ("title", "skid", "board", "noise", "actuator", "runs")
+CASE_KEYS = ("title", "skid", "area_m", "board", "noise", "actuator", "runs")
 BOARD_KEYS = {
     "mass_kg": "mass",
     "rotor_inertia_kgm2": "rotor_inertia",
@@ -37,9 +37,13 @@ BOARD_KEYS = {
 NOISE_KEYS = {"position_m": "m", "heading_rad": "rad"}
 ACTUATOR_KEYS = ("kp", "kd")
 PAYLOAD_KEYS = {"payload_kg": "kg", "payload_inertia_kgm2": "kg m^2"}
-JOINT_LOG_KEYS = ("file", "kind")
+JOINT_LOG_KEYS = ("file", "kind", "offset_s", "drift")
+ESTIMATE = "estimate"
 JOINTS = ("phi", "psi", "phi_back")
 RUN_KEYS = ("role", "mocap", "object", *HINT_KEYS, *JOINTS, "joint_log", "window_s", *PAYLOAD_KEYS, "start")
+
+LOOSE_CLOCK = 0.5
+"""A log whose clock is yet to be fitted may end so much [s] before the run."""
 
 _RUNS = '[[runs]] with role = "train", mocap, object, phi and psi'
 _JOINT_LOG = 'joint_log = {file = "joints.csv", kind = "commanded"}'
@@ -72,7 +76,8 @@ def load_case(folder: Path | str) -> Case:
     gaits = _gaits([_joints(row, folder) for row in rows], gains)
     runs = tuple(_run(row, folder, gait) for row, gait in zip(rows, gaits, strict=True))
     title = table.text("title", 'title = "..."') if "title" in table.values else folder.resolve().name
-    return Case(folder.resolve().name, title, skid, board, runs, noise, _sha256(folder, rows))
+    area = _area(table) if "area_m" in table.values else None
+    return Case(folder.resolve().name, title, skid, board, runs, noise, _sha256(folder, rows), area)
 
 
 def _case_file(folder: Path) -> Path:
@@ -96,6 +101,16 @@ def _board(table: Table) -> Board:
         what = f"makes the total inertia {float(board.total_inertia):g} kg m^2, not above {joints:g} of the joints"
         raise table.error(key, what, "give inertia_kgm2 with the rotor and the wheelsets in it")
     return board
+
+
+def _area(table: Table) -> tuple[float, float, float, float]:
+    example = "area_m = [lowest x, lowest y, highest x, highest y]"
+    left, below, right, above = table.vector("area_m", 4, example)
+    if not (left < right and below < above):
+        raise table.error(
+            "area_m", f"is [{left:g}, {below:g}, {right:g}, {above:g}], which holds nothing", f"write {example}"
+        )
+    return left, below, right, above
 
 
 def _noise(table: Table) -> Noise:
@@ -153,11 +168,26 @@ def _joints(row: Table, folder: Path) -> _Joints:
     if "joint_log" in row.values:
         path, kind = _log_file(row, folder)
         times, *angles = read_joint_log(path)
-        signals = [None if angle is None else Logged.of(times, angle) for angle in angles]
+        clock = _log_clock(row)
+        cameras = clock.camera_times(times)
+        signals = [None if angle is None else Logged.of(cameras, smoothed(cameras, angle)) for angle in angles]
         return _Joints(*signals, exact=kind == "measured")
     keys = [key for key in JOINTS if key != "phi_back" or key in row.values]
     signals = [Sines.of(row.numbers(key, 3, f"{key} = [[amplitude, frequency, phase], ...]")) for key in keys]
     return _Joints(*signals, *[None] * (len(JOINTS) - len(keys)), exact=False)
+
+
+def _log_clock(row: Table) -> LogClock:
+    """What `case.toml` says of the log's clock; what it says "estimate" for is 0 and free."""
+    log = row.table("joint_log", _JOINT_LOG)
+    free = tuple(key for key in ("offset_s", "drift") if log.values.get(key) == ESTIMATE)
+    domains = {
+        "offset_s": Domain("s", -math.inf, math.inf, False, False),
+        "drift": Domain("-", -0.1, 0.1, False, False),
+    }
+    known = {key: log.number(key, d) for key, d in domains.items() if key in log.values and key not in free}
+    names = tuple(key.removesuffix("_s") for key in free)
+    return LogClock(known.get("offset_s", 0.0), known.get("drift", 0.0), free=names)
 
 
 def _gaits(joints: list[_Joints], gains: dict[str, float] | None) -> list[Gait]:
@@ -187,12 +217,15 @@ def _run(row: Table, folder: Path, gait: Gait) -> Run:
     times, pose = track.times, track.pose
     if "window_s" in row.values:
         times, pose = _windowed(row, times, pose, 0.5 / track.rate, moving)
-    if "joint_log" in row.values:
-        _require_covered(row, folder, times if moving else [0.0, times[-1]], 1.0 / track.rate)
     domains = {key: Domain(unit, 0.0, math.inf, False, False) for key, unit in PAYLOAD_KEYS.items()}
     payload = [row.number(key, domain) if key in row.values else 0.0 for key, domain in domains.items()]
     times, pose, payload = (jnp.asarray(part, jnp.float64) for part in (times, pose, payload))
-    return Run(_name(row), row.values["role"], times, pose, gait, payload, moving)
+    run = Run(_name(row), row.values["role"], times, pose, gait, payload, moving)
+    if "joint_log" not in row.values:
+        return run
+    run = with_log_clock(run, _log_clock(row), float(read_joint_log(_log_file(row, folder)[0]).times[0]))
+    _require_covered(row, folder, run, 1.0 / track.rate)
+    return run
 
 
 def _windowed(
@@ -214,9 +247,13 @@ def _windowed(
     return times[kept], pose[kept]
 
 
-def _require_covered(row: Table, folder: Path, times: Sequence[float], slack: float) -> None:
+def _require_covered(row: Table, folder: Path, run: Run, slack: float) -> None:
     path, _ = _log_file(row, folder)
-    log = read_joint_log(path).times
+    assert run.log is not None
+    log = run.log.camera_times(read_joint_log(path).times)
+    times = np.asarray(run.times) if run.moving else np.array([0.0, float(run.times[-1])])
+    if run.log.free:
+        slack += LOOSE_CLOCK
     if log[0] > times[0] + slack or log[-1] < times[-1] - slack:
         what = f"goes from {log[0]:g} to {log[-1]:g} s, but the run from {times[0]:g} to {times[-1]:g} s"
         raise row.error("joint_log", f"is shorter than the run: {path.name} {what}", "log it all, or set window_s")

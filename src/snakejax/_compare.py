@@ -11,10 +11,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import stats
 
-from ._check import noise_of
 from ._fit import Fit, FitError, Score, fit, starting_model
 from ._recording import Case, Noise
 from ._scenes import Track, scenes_of
+from .quality import noise_of
 
 CHANNELS = ("x", "y", "heading")
 RATES = ("forward_rate", "sideways_rate", "heading_rate")

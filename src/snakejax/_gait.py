@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -79,6 +80,12 @@ class Logged(AbstractSignal):
         if not (np.isfinite(times).all() and np.isfinite(angles).all() and (np.diff(times) > 0).all()):
             raise ValueError("The times of a joint log must be finite and increase, and its angles must be finite.")
         return Logged(jnp.asarray(times), jnp.asarray(CubicSpline(times, angles, bc_type="natural").c))
+
+    def on_clock(self, offset: Scalar, drift: Scalar) -> "Logged":
+        """The same signal on a clock that shows t where that of the knots shows t (1 + drift) + offset [s]."""
+        pace = 1 + drift
+        powers = jnp.stack([pace**k for k in (3, 2, 1, 0)])
+        return Logged((self.knots - offset) / pace, self.coefficients * powers[:, None])
 
     def padded(self, samples: int) -> "Logged":
         """The same signal with `samples` knots, the new ones after its end, where it stays."""
@@ -179,3 +186,12 @@ class Gait(eqx.Module):
     phi: AbstractSignal
     psi: AbstractSignal
     phi_back: AbstractSignal | None = None
+
+
+def on_clock(gait: Gait, offset: Scalar, drift: Scalar) -> Gait:
+    """`gait` with its logs on a clock that shows t where theirs shows t (1 + drift) + offset [s]; all else as it is."""
+    return jax.tree.map(
+        lambda part: part.on_clock(offset, drift) if isinstance(part, Logged) else part,
+        gait,
+        is_leaf=lambda part: isinstance(part, Logged),
+    )

@@ -20,10 +20,11 @@ from ._compare import Comparison, Side
 from ._errors import InputError, at_line
 from ._fit import MODELS, Estimate, Fit, RunScore, Score
 from ._model import Model
-from ._recording import Case, Noise
+from ._recording import Case, Noise, Run
 from ._skid import SKIDS, Ideal
 from ._tyre import Bakker, Rayleigh
 from ._units import parameters
+from .quality import Inspection
 
 SCHEMA = 1
 LIBRARIES = ("snakejax", "jax", "jaxlib", "diffrax", "optimistix", "equinox", "numpy")
@@ -117,6 +118,37 @@ def score_json(score: Score | None) -> Json | None:
 def rmse_json(train: Score | None, heldout: Score | None) -> Json:
     """Root mean squared errors of both roles."""
     return {"train": score_json(train), "heldout": score_json(heldout)}
+
+
+def quality_json(seen: Inspection) -> Json:
+    """What was found in the recordings, what was done about it, and how many frames count as lost for it."""
+    return {
+        "as_recorded": seen.as_recorded,
+        "findings": [
+            {
+                "kind": f.kind,
+                "run": f.run,
+                "from_s": f.start,
+                "to_s": f.end,
+                "size": f.size,
+                "unit": f.unit,
+                "what": f.what,
+                "remedy": f.remedy,
+                "action": f.action,
+                "applied": f.applied,
+                "severity": f.severity,
+            }
+            for f in seen.findings
+        ],
+        "masked": seen.masked,
+    }
+
+
+def joint_logs_json(runs: Sequence[Run]) -> Json:
+    """How the clocks of the joint logs go, where there are any."""
+    logs = [{"run": run.name, **run.log._asdict()} for run in runs if run.log is not None]
+    renamed = {"offset": "offset_s", "offset_sd": "offset_sd_s", "free": "estimated"}
+    return {"joint_logs": [{renamed.get(k, k): v for k, v in log.items()} for log in logs]} if logs else {}
 
 
 def run_json(score: RunScore) -> Json:
@@ -272,6 +304,7 @@ def fit_json(
             "correlation": correlation_json(found),
             "combinations": combinations_json(found.combinations),
             "advice": list(found.advice),
+            **joint_logs_json(found.study.runs),
             "converged": found.optimum.converged,
             "seconds": seconds,
         }

@@ -11,6 +11,7 @@ _HEAD = """\
 # A case: a board and its recorded runs. Units are in the names of the keys.
 title = "my snakeboard"             # free text; may be left out
 skid = "free"                       # what to start from: "free" (each wheelset skids by itself) or "coupled"
+# area_m = [-2.0, -1.5, 2.0, 1.5]   # lowest x, lowest y, highest x, highest y of the floor: samples outside are wrong
 
 [board]
 mass_kg = 7.0                       # all of it: board, rotor, wheelsets
@@ -51,6 +52,8 @@ psi = [[1.57, 4.0, 0.0]]            # rotor
 # A CSV with columns time_s, phi_rad, psi_rad and, if wanted, phi_back_rad replaces phi, psi and phi_back.
 # "commanded" angles pass through [actuator]; "measured" ones are what the joints did.
 # joint_log = {file = "joints.csv", kind = "measured"}
+# A log has a clock of its own, which shows t (1 + drift) + offset_s at the cameras' time t; "estimate" lets a fit find
+# them: joint_log = {file = "joints.csv", kind = "measured", offset_s = "estimate", drift = 0.0}
 # window_s = [0.5, 8.0]             # use the samples from 0.5 to 8 s after the first row only
 # payload_kg = 2.0                  # extra mass at the centre of mass in this run
 # payload_inertia_kgm2 = 0.01       # and its yaw inertia

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
 from rich import box
 from rich.console import Group, RenderableType
 from rich.padding import Padding
@@ -12,9 +13,13 @@ from ._compare import Comparison, Side
 from ._fit import Estimate, Fit, RunScore, Score
 from ._json import model_kind, short, skid_kind
 from ._model import Model
-from ._recording import Case, Noise
+from ._recording import Case, Noise, Run
 from ._skid import Ideal
 from ._units import parameters
+from .quality import Inspection
+
+MOST_FINDINGS = 12
+"""How many findings a report lists on a terminal; the JSON has all."""
 
 Interval = tuple[float | None, float | None]
 
@@ -137,6 +142,19 @@ def combinations_table(combinations: Mapping[str, Estimate]) -> Table:
     return table
 
 
+def log_clocks_table(runs: Sequence[Run]) -> Table:
+    """How the clocks of the joint logs go, as far as they were estimated."""
+    right = ("offset [ms]", "+-", "drift [1e-6]", "+- ")
+    table = plain_table("run", *right, "from", right=right)
+    for run in runs:
+        if run.log is not None:
+            log = run.log
+            late, fast = (None if sd is None else sd * unit for sd, unit in ((log.offset_sd, 1e3), (log.drift_sd, 1e6)))
+            cells = number(1e3 * log.offset, late), error(late), number(1e6 * log.drift, fast), error(fast)
+            add_row(table, run.name, *cells, log.source)
+    return table
+
+
 def score_line(role: str, score: Score) -> str:
     """One role's score as a sentence."""
     return (
@@ -149,6 +167,25 @@ def noise_line(noise: Noise) -> str:
     """The noise as a sentence."""
     position, heading = 1e3 * float(noise.position), 1e3 * float(noise.heading)
     return f"noise of one sample {position:.3g} mm and {heading:.3g} mrad ({noise.source})"
+
+
+def quality_report(seen: Inspection) -> RenderableType:
+    """What was found in the recordings before anything was fitted to them, and what was done about it."""
+    runs = seen.case.runs
+    frames = sum(len(run.times) for run in runs)
+    there = sum(int(np.isfinite(np.asarray(run.pose)).all(axis=1).sum()) for run in runs)
+    lost = f"{len(runs)} runs, {frames} frames, {1 - there / max(frames, 1):.1%} of them lost"
+    if not seen.findings:
+        return Text(f"recordings: {lost}; nothing is wrong with them", style="dim")
+    table = plain_table("run", "from [s]", "to [s]", "found", "done", right=("from [s]", "to [s]"))
+    done = {"mask": "masked", "turn": "turned back", "none": "nothing"}
+    for f in seen.findings[:MOST_FINDINGS]:
+        acted = done[f.action] if f.applied else "nothing"
+        add_row(table, f.run or "", f"{f.start:.2f}", f"{f.end:.2f}", f.what, acted)
+    more = len(seen.findings) - MOST_FINDINGS
+    end = f"{more} more findings are in the JSON; " if more > 0 else ""
+    how = "as recorded" if seen.as_recorded else f"{sum(seen.masked.values())} frames masked"
+    return Group(Text(f"recordings: {lost}"), Text(), indented(table), Text(f"{end}{how}"), Text())
 
 
 def indented(renderable: RenderableType) -> Padding:
@@ -166,6 +203,8 @@ def fit_report(case: Case, noise: Noise, found: Fit, intervals: Mapping[str, Int
         indented(fit_table(found, intervals)),
         indented(runs_table([*found.runs, *found.heldout])),
     ]
+    if any(run.log is not None and run.log.free for run in found.study.runs):
+        parts.append(indented(log_clocks_table(found.study.runs)))
     if found.combinations:
         parts.append(indented(combinations_table(found.combinations)))
     parts.append(Text(score_line("train", found.train_score)))

@@ -45,6 +45,9 @@ def add_cases(command: Any, presets: bool = False) -> None:
         "--json", metavar="FILE", help="write the result there; - for standard output, a folder for several CASEs"
     )
     command.add_argument("--out", metavar="DIR", help="write result and figures into this folder")
+    command.add_argument(
+        "--as-recorded", action="store_true", help="use the recordings as they are: mask no frame that is wrong"
+    )
     command.add_argument("--seed", type=int, default=0, help="seed of all that is random (default 0)")
     command.add_argument("--quiet", action="store_true", help="print nothing but complaints and --json -")
 

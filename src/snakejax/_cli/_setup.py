@@ -186,7 +186,10 @@ def each_case(
                 def told(message: str, done: int | None = None, total: int | None = None, label: str = label) -> None:
                     say(f"{label}: {message}", done, total)
 
-                found = work(case, told)
+                case, quality, once = _inspected(options, case, told)
+                found = work(case, once)
+                once("done")
+                found.json.update(quality)
                 _deliver(options, name, found, wanted, apart=len(options.cases) > 1)
             except (FitError, ClusterError) as error:
                 status = max(status, complain(f"{str(error).rstrip('.')} ({name})", FAILED))
@@ -197,6 +200,36 @@ def each_case(
             except (ArithmeticError, RuntimeError) as error:
                 status = max(status, complain(unexpected(error, name), FAILED))
     return status
+
+
+def _inspected(options: argparse.Namespace, case: Any, say: Say) -> tuple[Any, dict[str, Any], Say]:
+    """`case` with the safe remedies for its defects; its JSON; and `say`, which first tells of them: options are judged
+    before that, and anything is fitted after it.
+
+    **Raises:** `InputError` where the recordings should not be fitted before a user has mended them.
+    """
+    from .._recording import Case
+
+    if not isinstance(case, Case) or not hasattr(options, "as_recorded"):
+        return case, {}, say
+    from .._json import quality_json
+    from .._text import quality_report
+    from ..quality import inspected
+
+    seen = inspected(case, options.as_recorded)
+    left = [] if options.quiet or options.json == "-" else [quality_report(seen)]
+
+    def once(message: str, done: int | None = None, total: int | None = None) -> None:
+        while left:
+            show(left.pop())
+        say(message, done, total)
+
+    try:
+        seen.require_sound()
+    except InputError:
+        once("refused")
+        raise
+    return seen.case, {"quality": quality_json(seen)}, once
 
 
 def _deliver(

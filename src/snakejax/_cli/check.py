@@ -33,10 +33,12 @@ def run(options: argparse.Namespace) -> int:
         from rich.text import Text
 
         from .._check import check, check_text, holding
-        from .._json import SCHEMA
+        from .._json import SCHEMA, quality_json
+        from ..quality import inspected
 
         say("checking")
-        doubts = check(case, folders[case.name])
+        seen = inspected(case)
+        doubts = check(case, folders[case.name], seen)
         found = {
             "schema": SCHEMA,
             "case": case.name,
@@ -52,7 +54,8 @@ def run(options: argparse.Namespace) -> int:
                 }
                 for h in map(holding, case.runs)
             ],
-            "doubts": [{"run": d.run, "what": d.what, "severity": d.severity} for d in doubts],
+            "doubts": [{"run": d.run, "what": d.what, "severity": d.severity, "remedy": d.remedy} for d in doubts],
+            "quality": quality_json(seen),
         }
         return Outcome(found, Text(check_text(case, doubts)))
 

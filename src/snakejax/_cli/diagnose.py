@@ -32,17 +32,20 @@ def run(options: argparse.Namespace) -> int:
 def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     """Diagnose one case."""
     from .. import plot
-    from .._check import noise_of
+    from .._align import with_clocks
     from .._explain import diagnose
-    from .._json import provenance_json, write_whole
+    from .._fit import starting_model
+    from .._json import joint_logs_json, provenance_json, write_whole
     from .._story import diagnosis_json, diagnosis_text
+    from ..quality import noise_of
     from ..report import diagnosis_page
 
     clock = Clock()
     noise = noise_of(case)
+    case = with_clocks(starting_model(case, options.model, options.skid), case, noise, say)
     base = diagnose(case, noise, library(options), **wanted(options), progress=say).base
     provenance = provenance_json(options.seed, given(options), case.sha256)
-    result = diagnosis_json(case, noise, base, provenance, clock.seconds())
+    result = {**diagnosis_json(case, noise, base, provenance, clock.seconds()), **joint_logs_json(case.runs)}
 
     def write(folder: Path) -> None:
         say("drawing")

@@ -63,15 +63,15 @@ def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
 
 def fitted(options: argparse.Namespace, case: "Case", say: Say) -> "tuple[Fit, Noise]":
     """The fit of `case` that the options ask for, and the noise it counts in."""
-    from .._check import noise_of
-    from .._fit import fit
+    from .._align import fit_logged
+    from ..quality import noise_of
     from ._models import wanted_model
 
     wanted = wanted_model(options, case)
     noise = noise_of(case)
     free = wanted.freed(names(getattr(options, "free", None)))
     limit = threshold(getattr(options, "robust", None))
-    return fit(wanted.model, case.runs, noise, free, threshold=limit, progress=say), noise
+    return fit_logged(wanted.model, case.runs, noise, free, threshold=limit, progress=say), noise
 
 
 def profiled(options: argparse.Namespace, found: "Fit") -> list[str]:

@@ -108,10 +108,10 @@ def _of_preset(options: argparse.Namespace, subject: Any) -> tuple:
 
 
 def _of_case(options: argparse.Namespace, case: Any, say: Say) -> tuple:
-    from .._check import noise_of
     from .._fit import run_scores
     from .._replay import fitted_starts, starts_of
     from .._study import Study
+    from ..quality import noise_of
     from ._models import require_given, wanted_model
 
     pose = start_pose(options.start)

@@ -1,0 +1,157 @@
+"""How far the clock of the joints is ahead of that of the cameras, without a model of the board's forces.
+
+Whatever the tyres are, the yaw rate r is nearly r = -k psi' + c u tan(phi) + ... with k, c > 0: the board turns against
+its rotor, and into the turn when it rolls at speed u. The lag at which the joints explain r best, with those signs, is
+that of the clocks, to some hundredths of a second; joints that lag behind their commands are part of it.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.signal import savgol_filter
+
+from .._errors import InputError
+from .._gait import AbstractSignal, on_clock
+from .._recording import LogClock, Run
+from .finding import Finding, Track, finding
+
+SMOOTH = 0.21
+"""Width [s] of the cubics that give the rates."""
+FAR = 3.0
+"""Within this [s] the clocks of a log and of the cameras are searched for their lag."""
+STEP, COARSE = 0.01, 0.05
+WHOLE = 1.0
+"""Lags of commanded gaits are looked for within this [s]."""
+APART = 0.25
+"""A lag [s] beyond what tyres and lagging joints were seen to look like: 0.06 s."""
+CLEARLY, HARDLY = 0.2, 0.5
+"""Joints that leave less of the yaw rate than the first share tell the lag; more than the second, nothing at all."""
+MODEL_ERROR = 0.05
+"""What the tyres, and joints that lag, move the lag by [s]: the standard error where the noise is smaller."""
+
+
+class Lag(NamedTuple):
+    """The joints' clock less the cameras' [s], its standard error, and the share of the yaw rate left unexplained."""
+
+    offset: float
+    sd: float
+    left: float
+
+
+class _Seen(NamedTuple):
+    """The motion at steady `times` [s]: forward speed `u` and yaw rate `r`; the joint angles at the times `fine`."""
+
+    times: Float[np.ndarray, " n"]
+    u: Float[np.ndarray, " n"]
+    r: Float[np.ndarray, " n"]
+    fine: Float[np.ndarray, " m"]
+    phi: Float[np.ndarray, " m"]
+    psi: Float[np.ndarray, " m"]
+
+
+def lag(run: Run, most: float = 2.0) -> Lag | None:
+    """The lag between the joints of `run` and its motion, within `most` [s] either way; None where they do not go
+    together: the board or its joints stand still.
+    """
+    seen = _motion(run, most)
+    return None if seen is None else _best(seen, 0.0, most)
+
+
+def with_log_clock(run: Run, clock: LogClock, begins: float) -> Run:
+    """`run`, whose joint log begins at `begins` [s] of its own `clock`; an offset that is free is first estimated here.
+
+    Clocks so far apart that the log would begin seconds before or after the run are laid side by side first.
+    **Raises:** `InputError` where the motion does not go with the joints, so that it does not tell.
+    """
+    if "offset" not in clock.free:
+        return dataclasses.replace(run, log=clock)
+    far = begins if abs(begins) > FAR else 0.0
+    run = eqx.tree_at(lambda r: r.gait, run, on_clock(run.gait, far, 0.0))
+    found = lag(run, FAR)
+    if found is None:
+        what = "The motion does not go with the logged joints, so that it does not tell how their clocks are apart"
+        raise InputError(
+            what, f"run {run.name}", "check that the log is of this run, or give joint_log.offset_s in seconds"
+        )
+    clock = clock._replace(offset=far + found.offset, offset_sd=found.sd, source="the motion alone")
+    run = eqx.tree_at(lambda r: r.gait, run, on_clock(run.gait, found.offset, 0.0))
+    return dataclasses.replace(run, log=clock)
+
+
+def clocks(run: Run) -> list[Finding]:
+    """Clocks of gait and cameras that are apart, or drift apart, by more than tyres and lagging joints look like."""
+    found = lag(run, WHOLE)
+    if found is None or found.left > CLEARLY or abs(found.offset) < APART:
+        return []
+    track, late = Track.of(run), "later" if found.offset < 0 else "earlier"
+    what = f"the joints move {abs(found.offset):.2g} s {late} than commanded, or their clock runs at another pace"
+    remedy = "correct the start of the recording or its frame rate, or let the fit find it: --effect clock_offset"
+    every = np.flatnonzero(track.present)
+    return [finding("clock_offset", track, every, what, remedy, size=abs(found.offset), unit="s")]
+
+
+def _motion(run: Run, most: float) -> _Seen | None:
+    seen = Track.of(run).seen()
+    if len(seen.times) < 50:
+        return None
+    frame = float(np.median(np.diff(seen.times)))
+    times = np.arange(seen.times[0], seen.times[-1], frame)
+    pose = np.stack([np.interp(times, seen.times, channel) for channel in seen.pose.T], axis=1)
+    x, y, r = _rates(pose, frame).T
+    u = x * np.cos(pose[:, 2]) + y * np.sin(pose[:, 2])
+    fine = np.arange(times[0] - most - 0.5, times[-1] + most + 0.5, STEP)
+    return _Seen(times, u, r, fine, _angles(run.gait.phi, fine), _angles(run.gait.psi, fine))
+
+
+def _best(seen: _Seen, around: float, most: float) -> Lag | None:
+    def left(offsets: np.ndarray) -> np.ndarray:
+        return np.array([_left(seen, offset) for offset in offsets])
+
+    coarse = around + np.arange(-most, most + COARSE / 2, COARSE)
+    found = left(coarse)
+    if not found.min() < HARDLY:
+        return None
+    # Of periods equally good the nearest to no lag.
+    best = coarse[min(np.flatnonzero(found <= found.min() + 0.03), key=lambda j: abs(coarse[j] - around))]
+    for _ in range(5):
+        near = best + STEP * np.arange(-6, 7)
+        found = left(near)
+        k = int(found.argmin())
+        best = near[k]
+        if 0 < k < len(near) - 1:
+            break
+    curve = (found[-1] + found[0] - 2 * found[k]) / ((near[-1] - near[0]) / 2) ** 2
+    independent = (seen.times[-1] - seen.times[0]) / SMOOTH
+    noisy = np.sqrt(2 * found[k] / (independent * curve)) if 0 < curve < np.inf else 0.0
+    return Lag(float(best), float(np.hypot(noisy, MODEL_ERROR)), float(found[k]))
+
+
+def _rates(values: Float[np.ndarray, "n c"], frame: float) -> Float[np.ndarray, "n c"]:
+    width = max(5, round(SMOOTH / frame) // 2 * 2 + 1)
+    return np.asarray(savgol_filter(values, width, 3, deriv=1, delta=frame, axis=0))
+
+
+def _angles(signal: AbstractSignal, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """The joint's angle; before time 0 it stands where it starts."""
+    return np.asarray(jax.vmap(lambda t: signal.at(t).angle)(jnp.asarray(np.maximum(times, 0.0))))
+
+
+def _left(seen: _Seen, offset: float) -> float:
+    """The share of the yaw rate that joints `offset` ahead leave; inf where the signs are wrong."""
+    at, u, r = seen.times + offset, seen.u, seen.r
+    steer, turn = np.interp(at, seen.fine, seen.phi), np.interp(at, seen.fine, seen.psi)
+    against = _rates(turn[:, None], float(seen.times[1] - seen.times[0]))[:, 0]
+    features = np.stack([against, u * np.tan(np.clip(steer, -1.4, 1.4)), np.ones_like(u), steer, u], axis=1)
+    sizes = np.sqrt((features**2).sum(axis=0))
+    if not (sizes[:2] > 1e-9).all():
+        return np.inf
+    found, *_ = np.linalg.lstsq(features, r, rcond=None)
+    if found[0] > 0 or found[1] < 0:
+        return np.inf
+    rest = r - features @ found
+    return float((rest @ rest) / ((r - r.mean()) @ (r - r.mean())))

@@ -1,0 +1,168 @@
+"""Joint logs on a clock of their own: what the motion alone says of it, what the fit says, and noise in the log."""
+
+import shutil
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from snakejax import fit_logged, load_case, starting_model
+from snakejax._errors import InputError
+from snakejax._gait import Logged, on_clock
+from snakejax._recording import LogClock
+from snakejax.quality import clocks, lag, smoothed
+
+DATA = Path(__file__).resolve().parents[1] / "data" / "level-board"
+CLOCKS = {
+    "train-forward-1": (0.137, 0.0),
+    "train-forward-2": (-0.2, 0.0),
+    "train-rotate-1": (0.05, 0.0),
+    "train-arc-1": (0.4, 1e-3),
+    "train-wander-1": (-0.05, 0.0),
+    "heldout-reverse-1": (0.11, 0.0),
+    "heldout-sweep-1": (-0.31, 0.0),
+}
+
+
+def logged_case(folder: Path, keys: str, names=tuple(CLOCKS)) -> Path:
+    """`level-board`, or its runs `names`, with the joints' true motion as logs, on the clocks above; `keys` say what is
+    known of them.
+    """
+    shutil.copytree(DATA, folder)
+    head, *runs = (DATA / "case.toml").read_text(encoding="utf-8").split("[[runs]]")
+    text = head.split("[actuator]")[0]
+    times = np.arange(0, 12.5, 0.01)
+    for run, part in zip(load_case(DATA).runs, runs, strict=True):
+        offset, drift = CLOCKS[run.name]
+        joints = [
+            np.asarray(jax.vmap(lambda t, s=s: s.at(t).angle)(jnp.asarray(times))) for s in (run.gait.phi, run.gait.psi)
+        ]
+        # Some time before the start, when the joints stand still.
+        at = np.concatenate([times[:100] - 1.0, times]) * (1 + drift) + offset
+        table = np.column_stack([at, *(np.concatenate([np.zeros(100), joint]) for joint in joints)])
+        rows = "".join(f"{t:.6f},{phi:.9f},{psi:.9f}\n" for t, phi, psi in table)
+        (folder / f"{run.name}-joints.csv").write_text("time_s,phi_rad,psi_rad\n" + rows, encoding="utf-8")
+        kept = [line for line in part.strip().splitlines() if not line.startswith(("phi", "psi"))]
+        log = f'joint_log = {{file = "{run.name}-joints.csv", kind = "measured", {keys}}}'
+        text += "\n".join(["[[runs]]", *kept, log, "", ""])
+    (folder / "case.toml").write_text(text, encoding="utf-8")
+    return folder
+
+
+def test_a_log_on_another_clock_is_the_same_motion():
+    t = np.linspace(0, 3, 40)
+    signal = Logged.of(t, np.sin(2 * t))
+    moved = signal.on_clock(0.3, 0.02)
+    for now in (0.2, 1.0, 2.2):
+        angle, rate, acceleration = moved.at(jnp.asarray(now))
+        there = signal.at(jnp.asarray(now * 1.02 + 0.3))
+        np.testing.assert_allclose(angle, there.angle, rtol=1e-12)
+        np.testing.assert_allclose(rate, 1.02 * there.rate, rtol=1e-12)
+        np.testing.assert_allclose(acceleration, 1.02**2 * there.acceleration, rtol=1e-12)
+    assert on_clock((signal, 1.0), 0.0, 0.0)[1] == 1.0
+
+
+def test_a_given_clock_is_believed(tmp_path):
+    case = load_case(logged_case(tmp_path / "case", "offset_s = -0.2, drift = -0.01"))
+    raw = load_case(logged_case(tmp_path / "raw", "offset_s = -0.25"))
+    assert case.runs[0].log == LogClock(-0.2, -0.01)
+    t = 1.3
+    expected = raw.runs[0].gait.psi.at(jnp.asarray(t * 0.99 - 0.2 + 0.25)).angle
+    np.testing.assert_allclose(case.runs[0].gait.psi.at(jnp.asarray(t)).angle, expected, rtol=1e-9)
+
+
+def test_the_motion_alone_tells_the_offset(tmp_path):
+    """To some hundredths of a second, on every run: with its standard error of 0.05 s."""
+    case = load_case(logged_case(tmp_path / "case", 'offset_s = "estimate"'))
+    for run in case.runs:
+        assert run.log.free == ("offset",) and run.log.source == "the motion alone"
+        assert abs(run.log.offset - CLOCKS[run.name][0]) < 1.5 * run.log.offset_sd
+        assert run.log.offset_sd < 0.08
+
+
+def test_clocks_that_start_at_different_epochs(tmp_path):
+    folder = logged_case(tmp_path / "case", 'offset_s = "estimate"')
+    path = folder / "train-arc-1-joints.csv"
+    head, *rows = path.read_text(encoding="utf-8").splitlines()
+    cells = [row.split(",") for row in rows]
+    moved = [f"{float(t) + 86400:.6f},{phi},{psi}" for t, phi, psi in cells]
+    path.write_text("\n".join([head, *moved]) + "\n", encoding="utf-8")
+    (run,) = [run for run in load_case(folder).runs if run.name == "train-arc-1"]
+    assert run.log.offset == pytest.approx(86400.4, abs=0.1)
+
+
+def test_a_log_of_another_run_is_said(tmp_path):
+    folder = logged_case(tmp_path / "case", 'offset_s = "estimate"')
+    log = folder / "train-rotate-1-joints.csv"
+    rng = np.random.default_rng(0)
+    wander = np.cumsum(rng.normal(size=(1300, 2)) * 0.01, axis=0)
+    rows = "".join(f"{0.01 * k:.2f},{a:.6f},{b:.6f}\n" for k, (a, b) in enumerate(wander))
+    log.write_text("time_s,phi_rad,psi_rad\n" + rows, encoding="utf-8")
+    with pytest.raises(InputError, match=r"does not go with the logged joints.*run train-rotate-1: check that the log"):
+        load_case(folder)
+
+
+@pytest.mark.parametrize(
+    ("keys", "complaint"),
+    [('offset_s = "guess"', "must be a number"), ("drift = 0.5", "but is 0.5"), ("offest_s = 1", 'write "offset_s"')],
+)
+def test_what_cannot_be_a_clock(tmp_path, keys, complaint):
+    with pytest.raises(InputError, match=complaint):
+        load_case(logged_case(tmp_path / "case", keys))
+
+
+def test_gaits_and_cameras_go_together_and_half_a_second_is_noticed():
+    run = load_case(DATA).runs[3]
+    assert clocks(run) == [] and abs(lag(run, 1.0).offset) < 0.06
+    late = eqx.tree_at(lambda r: r.pose, run, run.pose[50:])
+    late = eqx.tree_at(lambda r: r.times, late, run.times[:-50])
+    found = clocks(late)
+    assert found[0].kind == "clock_offset" and found[0].size == pytest.approx(0.5, abs=0.1)
+
+
+def test_a_clock_that_runs_at_another_pace_is_noticed():
+    run = load_case(DATA).runs[3]
+    slow = eqx.tree_at(lambda r: r.times, run, run.times * 1.05)
+    assert [f.kind for f in clocks(slow)] == ["clock_offset"]
+
+
+def test_a_noisy_log_is_smoothed_and_a_clean_one_is_not():
+    rng = np.random.default_rng(0)
+    t = np.arange(0, 12, 0.005)
+    true = 0.9 * np.sin(4 * t) + 0.2 * np.cos(7 * t)
+    assert smoothed(t, true) is true
+    for rough in (true + 5e-4 * rng.normal(size=t.size), np.round(true / 1.5e-3) * 1.5e-3):
+        better = smoothed(t, rough)
+        assert np.std(better - true) < 0.5 * np.std(rough - true)
+        inner = slice(100, -100)
+        raw, good, exact = (CubicSpline(t, a)(t, 2)[inner] for a in (rough, better, true))
+        assert np.std(good - exact) < 0.05 * np.std(raw - exact)
+
+
+@pytest.mark.slow
+def test_the_fit_tells_the_clocks_to_a_fraction_of_a_millisecond(tmp_path):
+    """Offsets and the one drift within 3 standard errors or the solver's 0.1 ms, and the tyre as without logs."""
+    folder = logged_case(
+        tmp_path / "case", 'offset_s = "estimate"', ("train-rotate-1", "train-arc-1", "heldout-sweep-1")
+    )
+    text = (folder / "case.toml").read_text(encoding="utf-8")
+    arc = 'file = "train-arc-1-joints.csv", kind = "measured", offset_s = "estimate"'
+    (folder / "case.toml").write_text(text.replace(arc, f'{arc}, drift = "estimate"'), encoding="utf-8")
+    case = load_case(folder)
+    found = fit_logged(starting_model(case), case.runs, case.noise)
+    assert found.train_score.misfit < 1.02 and found.heldout_score.misfit < 1.03
+    for run in found.study.runs:
+        offset, drift = CLOCKS[run.name]
+        assert run.log.source == "the fit"
+        assert abs(run.log.offset - offset) < 3 * run.log.offset_sd + 1e-4
+        assert run.log.offset_sd < 1e-3
+        if drift:
+            assert abs(run.log.drift - drift) < 4 * run.log.drift_sd and run.log.drift_sd < 1e-4
+    # As it was made: see data/README.md.
+    for name, true in {"tyre.B": 7.589, "tyre.C": 1.515, "tyre.D": 8.543, "tyre.E": -0.122}.items():
+        estimate = found.estimates[name]
+        assert abs(estimate.value - true) < 3 * estimate.sd
