@@ -250,3 +250,33 @@ def missing(result: Json, charts: Sequence[figures.Chart]) -> Section:
         return Section("missing", "The missing force", sentences, tuple(charts), wide=False)
     tables = (table("What it depends on", ("variable", "#share"), rows),)
     return Section("missing", "The missing force", sentences, (figures.dependence(shares), *charts), tables, wide=False)
+
+
+def recordings(result: Json) -> Section | None:
+    """What was found wrong with the recordings before anything was fitted, and what was done about it."""
+    quality = result.get("quality")
+    if quality is None:
+        return None
+    masked = {name: count for name, count in quality["masked"].items() if count}
+    if not quality["findings"]:
+        return Section("recordings", "The recordings", ("Nothing was found wrong with them.",))
+    rows = [
+        Row(
+            cells(
+                found["run"] or "all",
+                found["kind"].replace("_", " "),
+                found["what"],
+                found["action"] if found["applied"] else found["remedy"],
+            ),
+            found["run"],
+        )
+        for found in quality["findings"]
+    ]
+    told = ", ".join(f"{count} of {name}" for name, count in masked.items())
+    sentences = plain_sentences(
+        "They were looked at before anything was fitted."
+        + (" As recorded: nothing was mended." * quality["as_recorded"]),
+        f"Frames that count as lost for it: {told}." if told else None,
+    )
+    heads = ("run", "what", "where and how large", "what was done, or what to do")
+    return Section("recordings", "The recordings", sentences, (), (table("Findings", heads, rows),))
