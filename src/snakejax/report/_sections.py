@@ -274,8 +274,8 @@ def recordings(result: Json) -> Section | None:
     ]
     told = ", ".join(f"{count} of {name}" for name, count in masked.items())
     sentences = plain_sentences(
-        "They were looked at before anything was fitted."
-        + (" As recorded: nothing was mended." * quality["as_recorded"]),
+        "They were looked at before anything was fitted.",
+        "They were taken as recorded: nothing was mended." if quality["as_recorded"] else None,
         f"Frames that count as lost for it: {told}." if told else None,
     )
     heads = ("run", "what", "where and how large", "what was done, or what to do")
