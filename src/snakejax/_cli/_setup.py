@@ -99,15 +99,22 @@ class Outcome(NamedTuple):
 @contextlib.contextmanager
 def progress(quiet: bool) -> Iterator[Say]:
     """Say what goes on: one line that moves on a terminal, with a bar and the time left where they are known."""
+    from rich import progress as parts
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
 
     console = Console(stderr=True)
     if quiet or not console.is_terminal:
         yield lambda message, done=None, total=None: None
         return
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(bar_width=20), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
+    columns = (
+        parts.SpinnerColumn(),
+        parts.TextColumn("{task.description}"),
+        parts.BarColumn(bar_width=20),
+        parts.TimeElapsedColumn(),
+        parts.TextColumn("left", style="dim"),
+        parts.TimeRemainingColumn(),
+    )
+    with parts.Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("starting", total=None)
 
         def say(message: str, done: int | None = None, total: int | None = None) -> None:

@@ -1,0 +1,49 @@
+"""How large reports are, and how long a browser takes until one can use them.
+
+    python benchmarks/reports.py REPORT.html ...
+
+opens each five times in headless Chromium and prints its size, and the medians of the seconds until its text and
+switches answer, and until its charts can be drawn. It also holds each report against what `tests/browsing.py` asks of
+it. Needs the extra `test` and Chromium.
+"""
+
+import statistics
+import sys
+from pathlib import Path
+
+from playwright.sync_api import sync_playwright
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "tests"))
+
+from browsing import Seen, check  # noqa: E402
+from conftest import BROWSERS  # noqa: E402
+
+REPEATS = 5
+READY = "() => document.documentElement.dataset.ready && performance.now()"
+CHARTS = "() => document.documentElement.dataset.charts && performance.now()"
+
+
+def main(paths: list[Path]) -> None:
+    """Print a line a report."""
+    import shutil
+
+    with sync_playwright() as playwright:
+        found = next(filter(None, map(shutil.which, BROWSERS)))
+        browser = playwright.chromium.launch(executable_path=found, args=["--no-sandbox"])
+        for path in paths:
+            times = []
+            for _ in range(REPEATS):
+                page = browser.new_page()
+                page.goto(path.absolute().as_uri(), wait_until="commit")
+                times.append([page.wait_for_function(ask, polling=10).json_value() / 1000 for ask in (READY, CHARTS)])
+                page.close()
+            ready, charts = (statistics.median(column) for column in zip(*times, strict=True))
+            check(Seen(browser, path.absolute()))
+            size = path.stat().st_size / 1e6
+            print(f"{path}: {size:.1f} MB, usable after {ready:.2f} s, charts after {charts:.2f} s, all checks hold")
+        browser.close()
+
+
+if __name__ == "__main__":
+    main([Path(argument) for argument in sys.argv[1:]])
