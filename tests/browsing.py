@@ -112,11 +112,9 @@ def check(seen: Seen) -> None:
     page.query_selector("#chart-falling").scroll_into_view_if_needed()
     light = page.evaluate(ink)
     page.emulate_media(color_scheme="dark")
-    page.wait_for_timeout(500)
-    assert page.evaluate(ink) != light
+    page.wait_for_function(f"before => ({ink})() !== before", arg=light, timeout=10_000)
     page.set_viewport_size({"width": 360, "height": 700})
-    page.wait_for_timeout(300)
-    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    page.wait_for_function("document.documentElement.scrollWidth <= innerWidth", timeout=10_000)
     page.evaluate("document.activeElement.blur(); scrollTo(0, 0)")
     unlabelled = "[...document.querySelectorAll('button, input, select, .chart')].filter(e => !(e.labels?.length"
     assert page.evaluate(unlabelled + " || e.textContent.trim() || e.getAttribute('aria-label'))).length") == 0
