@@ -38,6 +38,15 @@ class Seen:
         return json.loads(self.page.inner_text("#result") or self.page.text_content("#result"))
 
 
+def until(holds, page) -> None:
+    """Wait until something `holds`: a page asks for no `eval`, which Playwright's own waiting would need."""
+    for _ in range(100):
+        if holds():
+            return
+        page.wait_for_timeout(100)
+    assert holds()
+
+
 def looked_up(result: dict, key: str) -> float | None:
     """The number at `base.misfit.train`, times what stands behind a star."""
     path, _, factor = key.partition("*")
@@ -112,9 +121,9 @@ def check(seen: Seen) -> None:
     page.query_selector("#chart-falling").scroll_into_view_if_needed()
     light = page.evaluate(ink)
     page.emulate_media(color_scheme="dark")
-    page.wait_for_function(f"before => ({ink})() !== before", arg=light, timeout=10_000)
+    until(lambda: page.evaluate(ink) != light, page)
     page.set_viewport_size({"width": 360, "height": 700})
-    page.wait_for_function("document.documentElement.scrollWidth <= innerWidth", timeout=10_000)
+    until(lambda: page.evaluate("document.documentElement.scrollWidth <= innerWidth"), page)
     page.evaluate("document.activeElement.blur(); scrollTo(0, 0)")
     unlabelled = "[...document.querySelectorAll('button, input, select, .chart')].filter(e => !(e.labels?.length"
     assert page.evaluate(unlabelled + " || e.textContent.trim() || e.getAttribute('aria-label'))).length") == 0

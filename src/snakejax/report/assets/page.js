@@ -30,6 +30,9 @@
     drawn.set(element.id, Plotly.newPlot(element, data, dressed(layout), config).then(() => show(element)));
   };
 
+  // What is there by now, for who waits for it.
+  const mark = (name) => { document.documentElement.dataset[name] = "yes"; performance.mark(name); };
+
   // What is switched on.
   const on = (name) => {
     const boxes = [...document.querySelectorAll(`.controls input[name="${name}"]`)];
@@ -71,7 +74,7 @@
     script.textContent = await new Response(stream).text();
     document.head.append(script);
     document.querySelectorAll(".chart").forEach((element) => near.observe(element));
-    document.documentElement.dataset.charts = "yes";
+    mark("charts");
   };
   setTimeout(unpack, 0);
   const redress = () => drawn.forEach((ready, id) => ready.then(() => {
@@ -209,5 +212,5 @@
     setup();
     if (still.matches) slider.value = slider.max, place();
   }
-  document.documentElement.dataset.ready = "yes";
+  mark("ready");
 })();
