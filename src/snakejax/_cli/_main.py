@@ -9,12 +9,12 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from .._errors import InputError
-from . import check, compare, diagnose, explain, fit, new, simulate, sweep
+from . import check, compare, diagnose, explain, fit, new, simulate, sweep, tune
 from ._interrupt import persistent_interrupt
 from ._options import Formatter
 
 DONE, FAILED, WRONG, INTERRUPTED = 0, 1, 2, 130
-COMMANDS = (check, new, fit, compare, diagnose, explain, simulate, sweep)
+COMMANDS = (check, new, fit, compare, diagnose, explain, simulate, sweep, tune)
 
 _EXAMPLES = """\
 examples:
