@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -46,6 +47,16 @@ class Objective(Parametrised):
         """What must be zero, in units of what one would tolerate."""
         del ran
         return jnp.zeros(0)
+
+    def together(self, runs: Ran) -> tuple[Scalar, Float[Array, " k"]]:
+        """Cost and residual of the runs of one gait on several boards (M, ...): their means.
+
+        What is zero in the mean alone is made small on each of several boards besides.
+        """
+        every = (None, 0, 0)
+        cost, left = (jax.vmap(f, in_axes=(Ran(*every),))(runs) for f in (self.cost, self.residual))
+        scatter = jnp.sum(left**2, axis=1) if left.shape[0] > 1 else jnp.zeros_like(cost)
+        return jnp.mean(cost + scatter), jnp.mean(left, axis=0)
 
     @abc.abstractmethod
     def result(self, ran: Ran) -> Any:

@@ -19,7 +19,7 @@ from ._ran import Ask, Driver, Seen, ran, seen, sloped
 from ._shapes import AbstractShape, Sums
 from ._simulate import Accuracy
 from ._skid import Free
-from ._units import require_x64
+from ._units import Scalar, require_x64
 
 STARTS, GUESSES, MOST = 8, 192, 60
 """Starts of a descent, the guesses they are chosen among, and the iterations of each at most."""
@@ -166,8 +166,8 @@ class _Task(eqx.Module):
 
     def merits(self, runs: Sequence[Seen]) -> Float[np.ndarray, " S"]:
         """Cost plus what is not met, of the runs (S, ...) on each board: by this guesses are compared."""
-        each = np.array([_merits(self.objective, self.ask.times, part) for part in runs])
-        return each.mean(axis=0) if self.over == "mean" else each.max(axis=0)
+        stack = jax.tree.map(lambda *parts: jnp.stack(parts, axis=1), *runs)
+        return np.asarray(_merits(self.objective, self.ask.times, stack, self.over))
 
     def starts(self, known: Sequence[Gait], count: int, rng) -> tuple[list[np.ndarray], int]:
         """The unknowns of the known gaits and of the best guesses, `count` in all, and how many runs that took."""
@@ -198,21 +198,17 @@ class _Task(eqx.Module):
             )
         return gaits[int(np.nanargmin(np.where(np.isfinite(costs), costs, np.inf)))]
 
-    def look(self, unknowns: Float[Array, " P"]) -> list[np.ndarray]:
-        """Costs (M,) and residuals (M, k) on all boards, with their derivatives (M, P) and (M, k, P)."""
-        several = len(self.boards) > 1
-        each = [
-            _weighed(self.objective, self.ask.times, *sloped(board, self.ask, unknowns), several)
-            for board in self.boards
-        ]
-        return [np.stack(parts) for parts in zip(*each, strict=True)]
+    def runs(self, unknowns: Float[Array, " P"]) -> tuple[Seen, Seen]:
+        """The runs on all boards (M, ...), and their derivatives."""
+        each = [sloped(board, self.ask, unknowns) for board in self.boards]
+        return jax.tree.map(lambda *parts: jnp.stack(parts), *each)
 
     def point(self, unknowns: np.ndarray) -> Point:
         """The problem at `unknowns`."""
         z = jnp.asarray(unknowns)
-        cost, left, cost_slope, left_slope = (part.mean(axis=0) for part in self.look(z))
+        cost, left, cost_slope, left_slope = _together(self.objective, self.ask.times, *self.runs(z))
         space = _room(self.nominal, self.ask, self.limits, self.seconds, z)
-        return Point(float(cost), cost_slope, left, left_slope, *(np.asarray(part) for part in space))
+        return Point(float(cost), *(np.asarray(part) for part in (cost_slope, left, left_slope, *space)))
 
     def enough(self, unknowns: np.ndarray) -> bool:
         """Whether `unknowns` meet all there is to meet."""
@@ -223,12 +219,13 @@ class _Task(eqx.Module):
 
     def worst(self, unknowns: np.ndarray) -> float:
         """The cost of the worst board."""
-        return float(self.look(jnp.asarray(unknowns))[0].max())
+        return float(_apart(self.objective, self.ask.times, *self.runs(jnp.asarray(unknowns)))[0].max())
 
     def worst_point(self, unknowns: np.ndarray) -> Point:
         """The problem with one more unknown, last: a bound on the cost of every board, itself made small."""
         z, bound = jnp.asarray(unknowns[:-1]), float(unknowns[-1])
-        cost, left, cost_slope, left_slope = self.look(z)
+        parts = _apart(self.objective, self.ask.times, *self.runs(z))
+        cost, left, cost_slope, left_slope = (np.asarray(part) for part in parts)
         space, space_slope = (np.asarray(p) for p in _room(self.nominal, self.ask, self.limits, self.seconds, z))
 
         def wide(slope: np.ndarray, last: float) -> np.ndarray:
@@ -245,28 +242,38 @@ class _Task(eqx.Module):
 
 
 @eqx.filter_jit
-def _merits(objective: Objective, times, runs: Seen) -> Float[Array, " S"]:
-    def one(run: Seen):
-        looked = Ran(times, *run)
-        return objective.cost(looked) + jnp.sum(objective.residual(looked) ** 2)
+def _merits(objective: Objective, times, runs: Seen, over: Over) -> Float[Array, " S"]:
+    def one(each: Seen):
+        if over == "mean":
+            cost, left = objective.together(Ran(times, *each))
+            return cost + jnp.sum(left**2)
+        return jnp.max(jax.vmap(lambda run: _alone(objective, times, run)[0])(each))
 
     return jax.vmap(one)(runs)
 
 
+def _alone(objective: Objective, times, run: Seen) -> tuple[Scalar, Float[Array, " k"]]:
+    """Cost of a run, with what is not zero counted too, and residual."""
+    looked = Ran(times, *run)
+    left = objective.residual(looked)
+    return objective.cost(looked) + jnp.sum(left**2), left
+
+
 @eqx.filter_jit
-def _weighed(objective: Objective, times, run: Seen, slope: Seen, several: bool):
-    """Cost and residual (k,) of a run, with their derivatives by the unknowns, (P,) and (k, P).
+def _together(objective: Objective, times, runs: Seen, slopes: Seen):
+    """Cost and residual (k,) of runs on all boards, and their derivatives (P,) and (k, P)."""
+    return _sloped(lambda each: objective.together(Ran(times, *each)), runs, slopes)
 
-    Where there are `several` boards, what cannot be zero on all of them is made small besides.
-    """
 
-    def both(run: Seen):
-        looked = Ran(times, *run)
-        left = objective.residual(looked)
-        return objective.cost(looked) + (jnp.sum(left**2) if several else 0.0), left
+@eqx.filter_jit
+def _apart(objective: Objective, times, runs: Seen, slopes: Seen):
+    """Cost (M,) and residual (M, k) on each board, and their derivatives (M, P) and (M, k, P)."""
+    return jax.vmap(lambda run, slope: _sloped(lambda one: _alone(objective, times, one), run, slope))(runs, slopes)
 
+
+def _sloped(of: Callable[[Seen], tuple[Array, Array]], run: Seen, slope: Seen):
     def along(direction: Seen):
-        return jax.jvp(both, (run,), (direction,))
+        return jax.jvp(of, (run,), (direction,))
 
     (cost, left), (cost_slope, left_slope) = jax.vmap(along, in_axes=-1, out_axes=((None, None), (-1, -1)))(slope)
     return cost, left, cost_slope, left_slope
@@ -295,10 +302,9 @@ def accurate(model: Model, gait: Gait, seconds: float, start) -> Ran:
 
 
 def _looked(run: Ran, times) -> Ran:
-    """`run` at those of its instants that are `times`: all, or both ends."""
-    if len(times) == len(run.times):
-        return run
-    return Ran(jnp.asarray(times), run.pose[jnp.array([0, -1])], run.effort)
+    """`run` at those of its frames that are nearest to `times`."""
+    frames = np.linspace(0, len(run.times) - 1, len(times)).round().astype(int)
+    return Ran(jnp.asarray(times), run.pose[frames], run.effort)
 
 
 def _command(gait: Gait) -> Gait:
