@@ -16,6 +16,13 @@ if TYPE_CHECKING:
     from ._check import estimate_noise as estimate_noise
     from ._check import noise_of as noise_of
     from ._cluster import cluster as cluster
+    from ._discriminate import Bed as Bed
+    from ._discriminate import Separation as Separation
+    from ._discriminate import Sharpening as Sharpening
+    from ._discriminate import bed as bed
+    from ._discriminate import most_confusable as most_confusable
+    from ._discriminate import separate as separate
+    from ._discriminate import sharpen as sharpen
     from ._draws import draws as draws
     from ._effect import Clock as Clock
     from ._effect import Command as Command
@@ -95,6 +102,7 @@ _HOMES = {
     "_case": "load_case",
     "_check": "check estimate_noise noise_of",
     "_cluster": "cluster",
+    "_discriminate": "Bed Separation Sharpening bed most_confusable separate sharpen",
     "_draws": "draws",
     "_effect": "Clock Command Effect Floor Force Grip Layout Linkage Memory Motion Rolling Sensor Wheel",
     "_errors": "InputError",

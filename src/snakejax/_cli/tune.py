@@ -17,7 +17,15 @@ if TYPE_CHECKING:
     from .._objective import Objective
     from .._tune import Tuned
 
-OBJECTIVES = ("distance", "turn", "reach:X,Y,HEADING", "effort:DISTANCE", "FILE.py:function")
+OBJECTIVES = (
+    "distance",
+    "turn",
+    "reach:X,Y,HEADING",
+    "effort:DISTANCE",
+    "separate:EFFECT,EFFECT",
+    "information",
+    "FILE.py:function",
+)
 OVER = ("fit", "mean", "worst")
 DRAWS = 12
 """Draws from a fit over which a gait is tuned, and its spread shown."""
@@ -43,8 +51,9 @@ def add(commands: Any) -> None:
         "--objective",
         metavar="WHAT",
         default="distance",
-        help="distance (default), turn, reach:X,Y,HEADING, effort:DISTANCE (least for it) or\n"
-        "FILE.py:function of times, pose and effort, to be made small",
+        help="distance (default), turn, reach:X,Y,HEADING, effort:DISTANCE (the least for it), FILE.py:function (of"
+        " times, pose and effort, to be made small), separate:EFFECT,EFFECT (the run that tells which of two acts;"
+        " separate alone: the most confusable two) or information (the run that says most about the tyre)",
     )
     command.add_argument("--seconds", metavar="T", help="how long the run lasts [s] (default that of the first run)")
     command.add_argument(
@@ -121,6 +130,10 @@ def work(
     say: Say,
 ) -> Outcome:
     """Tune one case or preset."""
+    if options.objective.partition(":")[0] in ("separate", "information"):
+        from .separate import work as design
+
+        return design(options, subject, seconds, limit, start, say)
     from .._fit import FitError
     from .._json import clean, heading_json, provenance_json, write_whole
     from .._limits import Limits, reached_by
@@ -264,15 +277,22 @@ def report(name: str, asked: str, found: "Tuned", over: str) -> Any:
     lines += [Text(), indented(table)]
     if found.spread:
         lines.append(Text(f"over draws from the fit: {_spread(asked, found.spread)}"))
-    gait = plain_table("joint", "amplitude\n[rad]", "frequency\n[rad/s]", "phase\n[rad]")
-    for joint, terms in found.terms().items():
-        for term in terms:
-            add_row(gait, joint, *(f"{number:.5f}" for number in term))
-    lines += [indented(gait), Text(_limits_line(found))]
+    lines += [gait_table(found), Text(limits_line(found))]
     if not found.met:
         lines.append(Text("! No gait was found that gets there: allow more time or wider limits.", style="yellow"))
     lines.append(Text(f"{found.simulations} simulations, {found.slopes} of them with their derivative"))
     return Group(*lines)
+
+
+def gait_table(found: "Tuned") -> Any:
+    """The terms of a gait."""
+    from .._text import add_row, indented, plain_table
+
+    gait = plain_table("joint", "amplitude\n[rad]", "frequency\n[rad/s]", "phase\n[rad]")
+    for joint, terms in found.terms().items():
+        for term in terms:
+            add_row(gait, joint, *(f"{number:.5f}" for number in term))
+    return indented(gait)
 
 
 def _tuned_for(over: str) -> str:
@@ -296,7 +316,8 @@ def _spread(asked: str, spread: list[Any]) -> str:
     return f"mean {np.mean(spread):.4f}, from {min(spread):.4f} to {max(spread):.4f}"
 
 
-def _limits_line(found: "Tuned") -> str:
+def limits_line(found: "Tuned") -> str:
+    """How near a gait comes to its limits."""
     import math
 
     parts = [

@@ -1,0 +1,167 @@
+"""Which run to do next: five pairs of effects that the runs of `data/level-board` hardly tell apart.
+
+    python fit/next_run.py [FOLDER]
+
+For each pair: the strength at which the given runs are right in 70 % of the cases, the gait that tells the two apart
+best, and the proof. Recordings are made up with one of the effects or the other, fitted with either, and the better fit
+is taken for the answer; first the given runs alone, then with the designed one. Takes some 20 minutes; the figure and the
+table go into FOLDER (default `fit/figures`).
+"""
+
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import NamedTuple
+
+import snakejax as sj
+
+sj.prepare_jax()
+
+import equinox as eqx  # noqa: E402
+import jax.numpy as jnp  # noqa: E402
+import numpy as np  # noqa: E402
+from matplotlib.figure import Figure  # noqa: E402
+
+from snakejax import plot  # noqa: E402
+from snakejax._json import as_text, write_whole  # noqa: E402
+from snakejax._replay import replay  # noqa: E402
+from snakejax._study import Study  # noqa: E402
+from snakejax._units import with_parameters  # noqa: E402
+from snakejax.effects import LIBRARY  # noqa: E402
+
+DATA = Path(__file__).resolve().parents[1] / "data"
+PAIRS = (
+    ("body_drag", "longitudinal_slip"),
+    ("steering_lag", "rotor_lag"),
+    ("rolling_resistance", "yaw_friction"),
+    ("yaw_damping", "yaw_friction"),
+    ("longitudinal_slip", "rolling_resistance"),
+)
+SECONDS = 8.0
+LIMITS = {"phi": 0.916, "psi": 1.57, "phi_rate": 3.664, "psi_rate": 6.28}
+"""Those of the paper's forward gait, a little below what the recorded runs use."""
+
+
+class Proof(NamedTuple):
+    """A pair, its design, how many designed runs were made up, and the share of right answers of simulated refits from
+    the given runs alone and with the designed ones.
+    """
+
+    design: sj.Separation
+    runs: int
+    given: float
+    designed: float
+    trials: int
+
+
+def main(folder: Path, pairs=PAIRS, trials: int = 40, **how) -> list[Proof]:
+    """Designs and proves every pair; writes figure and table."""
+    case = sj.load_case(DATA / "level-board")
+    noise = sj.noise_of(case)
+    fit = sj.fit(sj.starting_model(case), case.runs, noise)
+    proofs = []
+    for pair in pairs:
+        known = sj.bed(fit, {name: LIBRARY[name]() for name in pair})
+        driver = sj.Driver.of(case.runs[0].gait)
+        design = sj.separate(
+            known, pair, sj.Limits.of(LIMITS), SECONDS, case.runs, driver=driver, given=_gaits(case), **how
+        )
+        proofs.append(proved(fit, known, design, trials))
+        print(_row(proofs[-1]), flush=True)
+    write_whole(folder / "next_run.json", as_text([_as_json(proof) for proof in proofs]))
+    plot.save(drawn(proofs), folder, "next_run")
+    return proofs
+
+
+def _gaits(case: sj.Case) -> list:
+    return [run.gait for run in case.having("train")]
+
+
+def proved(fit: sj.Fit, known: sj.Bed, design: sj.Separation, trials: int) -> Proof:
+    """The share of right answers of fits to recordings that are made up with either effect."""
+    noise, count = fit.study.noise, max(design.repeats or 1, 1)
+    train = [run for run in fit.study.runs if run.role == "train"]
+    frames = jnp.asarray(np.arange(round(design.tuned.seconds * 100) + 1) / 100)
+    blank = jnp.zeros((frames.size, 3))
+    new = [sj.Run(f"designed-{k}", "train", frames, blank, design.tuned.after.gait) for k in range(count)]
+    runs, given = [*train, *new], range(len(train))
+    starts = np.zeros((len(runs), 3))
+    starts[: len(train)] = np.asarray(fit.optimum.start)[fit.study.numbered("train")][:, :3]
+    study = Study.of(known.model, runs, noise, known.names, len(known.names))
+    tyre = list(known.names[: known.tyre])
+    parts = {name: [known.names[k] for k in known.places[name]] for name in design.effects}
+    right = {"given": 0, "designed": 0}
+    rng = np.random.default_rng(1)
+    for truth in design.effects:
+        values = {name: design.strengths[name] for name in parts[truth]}
+        poses = replay(with_parameters(known.model, values), runs, starts)
+
+        def trial(seed: int, truth=truth, poses=poses) -> dict[str, bool]:
+            drawn = np.random.default_rng(seed)
+            clean = np.asarray(study.batch.pose).copy()
+            for k, pose in enumerate(poses):
+                clean[k, : len(pose)] = pose + drawn.normal(size=pose.shape) * np.asarray(noise.channels)
+            mine = eqx.tree_at(lambda s: s.batch.pose, study, jnp.asarray(clean))
+            answers = {}
+            for label, seen in (("given", given), ("designed", range(len(runs)))):
+                left = {}
+                for name in design.effects:
+                    begin = study.values() | {n: design.strengths[n] for n in parts[name]}
+                    left[name] = mine.fit(begin, [*tyre, *parts[name]], seen, starts, enough=0.01).misfit
+                answers[label] = min(left, key=left.__getitem__) == truth
+            return answers
+
+        seeds = [int(seed) for seed in rng.integers(2**31, size=trials)]
+        with ThreadPoolExecutor(2) as pool:
+            for answers in pool.map(trial, seeds):
+                for label, good in answers.items():
+                    right[label] += good
+    total = 2 * trials
+    return Proof(design, count, right["given"] / total, right["designed"] / total, total)
+
+
+def _row(proof: Proof) -> str:
+    design = proof.design
+    strengths = ", ".join(f"{n.removeprefix('effects.')} {v:.2g}" for n, v in design.strengths.items())
+    best = design.advice[0]
+    return (
+        f"| {design.effects[0]} or {design.effects[1]} | {strengths} | {100 * design.before:.0f} % | "
+        f"{100 * proof.given:.0f} % | {100 * best.certainty:.0f} % ({best.do}) | {100 * design.after:.1f} % | "
+        f"{proof.runs} | {100 * proof.designed:.1f} % |"
+    )
+
+
+def _as_json(proof: Proof) -> dict:
+    design = proof.design
+    return {
+        "effects": design.effects,
+        "strengths": design.strengths,
+        "gait": design.tuned.terms(),
+        "expected": {"given": design.before, "designed": design.after},
+        "found": {"given": proof.given, "designed": proof.designed, "trials": proof.trials, "runs": proof.runs},
+        "advice": [a._asdict() for a in design.advice],
+    }
+
+
+def drawn(proofs: list[Proof]) -> Figure:
+    """The share of right answers of each pair: expected as bars, found by refits as dots with their 95 % intervals."""
+    figure = Figure(figsize=(8.6, 4.0), layout="constrained")
+    axis = figure.subplots()
+    places = np.arange(len(proofs))[::-1]
+    for shift, colour, label, expected, found in (
+        (0.2, "0.7", "given runs", [p.design.before for p in proofs], [p.given for p in proofs]),
+        (-0.2, "#f0a37f", "with the designed runs", [p.design.after for p in proofs], [p.designed for p in proofs]),
+    ):
+        share = np.array(found)
+        error = 1.96 * np.sqrt(np.maximum(share * (1 - share), 0.01) / proofs[0].trials)
+        axis.barh(places + shift, 100 * np.array(expected), 0.36, color=colour, label=f"{label}, expected of one run")
+        axis.errorbar(100 * share, places + shift, xerr=100 * error, fmt="ko", ms=4, lw=1)
+    axis.axvline(95, color="0.2", ls=":", lw=1)
+    axis.set(xlim=(40, 102), xlabel="right answers [%] (dots: refits of made-up recordings)", yticks=places)
+    axis.set_yticklabels([" or\n".join(p.design.effects) for p in proofs], fontsize="small")
+    axis.legend(fontsize="small", loc="upper left")
+    return figure
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "figures")
