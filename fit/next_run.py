@@ -4,7 +4,7 @@
 
 For each pair: the strength at which the given runs are right in 70 % of the cases, the gait that tells the two apart
 best, and the proof. Recordings are made up with one of the effects or the other, fitted with either, and the better fit
-is taken for the answer; first the given runs alone, then with the designed one. Takes some 20 minutes; the figure and the
+is taken for the answer; first the given runs alone, then with the designed one. Takes some 20 minutes; figure and
 table go into FOLDER (default `fit/figures`).
 """
 

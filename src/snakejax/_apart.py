@@ -138,11 +138,11 @@ def information(
     them about it.
     """
     base = poses[0]
-    moved = jnp.moveaxis((poses[1:] - base) / steps[:, None, None] * weight, 0, -1)
+    moved = jnp.moveaxis((poses[1:] - base[None]) / steps[:, None, None] * weight[None, None], 0, -1)
     x, y = base[:, 0] - base[0, 0], base[:, 1] - base[0, 1]
     one, zero = jnp.ones_like(x), jnp.zeros_like(x)
     starts = [(one, zero, zero), (zero, one, zero), (-y, x, one)]
-    nuisance = jnp.stack([jnp.stack(part, axis=1) * weight for part in starts], axis=-1)
+    nuisance = jnp.stack([jnp.stack(part, axis=1) * weight[None] for part in starts], axis=-1)
     columns, nuisance = moved.reshape(-1, moved.shape[-1]), nuisance.reshape(-1, 3)
     within = nuisance.T @ columns
     return columns.T @ columns - within.T @ jnp.linalg.solve(nuisance.T @ nuisance, within)
