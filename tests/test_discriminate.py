@@ -1,4 +1,4 @@
-"""Designs against exact probabilities, plain least squares, and refits of made-up recordings."""
+"""Designs against exact probabilities, plain least squares, and fits to made-up recordings."""
 
 import importlib.util
 from pathlib import Path
@@ -71,7 +71,7 @@ def test_strengths_and_repeats_are_where_the_certainty_says() -> None:
     assert certainty(G, pair._replace(sizes=factor * pair.sizes)) == pytest.approx(0.8, abs=0.01)
     needed = repeats(G, run, pair)
     assert needed and certainty(G + needed * run, pair) >= 0.95 > certainty(G + (needed - 1) * run, pair)
-    assert repeats(100 * G, run, pair) == 0 and repeats(G, 0 * run, pair) is None
+    assert repeats(1e4 * G, run, pair) == 0 and repeats(G, 0 * run, pair) is None
 
 
 def test_the_information_of_a_run_is_what_its_start_does_not_explain() -> None:
@@ -120,14 +120,15 @@ def test_what_cannot_be_designed_is_said_in_one_line(options, why, capsys) -> No
 
 @pytest.mark.slow
 def test_the_designed_run_tells_apart_what_the_given_ones_do_not(tmp_path) -> None:
-    """The study of `fit/`, on one pair and few recordings: refits are right more often, as the design says."""
+    """The study of `fit/`, on one pair: fits to made-up recordings are right as often as the design says."""
     description = importlib.util.spec_from_file_location("study_next_run", FIT / "next_run.py")
     study = importlib.util.module_from_spec(description)
     description.loader.exec_module(study)
-    (proof,) = study.main(tmp_path, study.PAIRS[:1], trials=8, starts=1, most=8)
+    (proof,) = study.main(tmp_path, study.PAIRS[:1], trials=60, starts=1, most=8)
     design = proof.design
     assert design.before == pytest.approx(0.7, abs=0.01) and design.after > 0.9
-    assert proof.designed > proof.given and proof.designed >= 0.85
+    assert proof.given == pytest.approx(0.7, abs=0.1)
+    assert proof.designed == pytest.approx(design.after if proof.runs == 1 else 0.97, abs=0.06)
     assert all(design.tuned.reached[name] <= most * (1 + 1e-9) for name, most in study.LIMITS.items())
     assert max(advice.certainty for advice in design.advice) < design.after
     assert (tmp_path / "next_run.png").stat().st_size > 10_000

@@ -24,6 +24,7 @@ from snakejax import (
     Spline,
     Sums,
     Tracked,
+    joint_log,
     simulate,
     spline,
     torques,
@@ -34,6 +35,7 @@ from snakejax._cli import main
 from snakejax._errors import InputError
 from snakejax._limits import peaks, room, within
 from snakejax._tune import sines
+from snakejax.readers import read_joint_log
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 TYRE = dict(B=6.0, C=1.4, D=6.0, E=0.3)
@@ -246,8 +248,19 @@ def test_what_cannot_be_is_said_in_one_line(options, why, capsys) -> None:
     assert why in said and said.count("\n") == 1 and "Traceback" not in said
 
 
+def test_a_spline_becomes_a_joint_log_of_the_same_gait(tmp_path) -> None:
+    shape = Spline((0.9, 1.6), 5.0, 14)
+    gait = Driver(**GAINS).driven(shape.gait(jnp.asarray(shape.guess(np.random.default_rng(0)))))
+    (tmp_path / "log.csv").write_text(joint_log(gait))
+    log = read_joint_log(tmp_path / "log.csv")
+    for mine, angles in ((gait.phi, log.phi), (gait.psi, log.psi)):
+        np.testing.assert_allclose(Logged.of(log.times, angles).coefficients, mine.command.coefficients, atol=1e-12)
+
+
 def test_a_log_cannot_be_written_as_sines() -> None:
     with pytest.raises(ValueError, match="joint log"):
         sines(Logged.of([0, 1, 2, 3], [0, 1, 0, 1]))
+    with pytest.raises(ValueError, match=r"case\.toml"):
+        joint_log(Gait(Sines.of([]), Sines.of([])))
     with pytest.raises(InputError, match="Nothing limits"):
         Limits.of({"phi": 0.5})

@@ -90,6 +90,7 @@ if TYPE_CHECKING:
     from ._torque import effort as effort
     from ._torque import torques as torques
     from ._tune import Tuned as Tuned
+    from ._tune import joint_log as joint_log
     from ._tune import tune as tune
     from ._tyre import Bakker as Bakker
     from ._tyre import Pacejka as Pacejka
@@ -124,7 +125,7 @@ _HOMES = {
     "_starter": "starter",
     "_sweep": "Axes grid sweep table",
     "_torque": "effort torques",
-    "_tune": "Tuned tune",
+    "_tune": "Tuned joint_log tune",
     "_tyre": "Bakker Pacejka Rayleigh",
     "_units": "Scalar param",
 }

@@ -3,7 +3,6 @@
 import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from threading import Event
 from typing import NamedTuple
 
 import numpy as np
@@ -80,28 +79,29 @@ def descend_all(
     bounds: tuple[np.ndarray, np.ndarray],
     most: int,
     progress: Callable[[int, int], None],
-    enough: Callable[[np.ndarray], bool] = lambda _: False,
+    enough: Callable[[np.ndarray], bool] | None = None,
 ) -> list[Descended]:
-    """`descend` from each of `starts`, until what one finds is `enough`.
+    """`descend` from each of `starts`; where `enough` is given, from few at a time, until what one finds is enough.
 
     `progress` is told how many iterations are done, of how many at most.
     """
-    done, ended = np.zeros(len(starts), int), Event()
+    done, found = np.zeros(len(starts), int), []
 
-    def one(k: int) -> Descended | None:
-        if ended.is_set():
-            return None
-
+    def one(k: int) -> Descended:
         def told() -> None:
             done[k] += 1
             progress(int(done.sum()), most * len(starts))
 
-        found = descend(problem, starts[k], bounds, most, told)
+        ended = descend(problem, starts[k], bounds, most, told)
         done[k] = most
         progress(int(done.sum()), most * len(starts))
-        if enough(found.unknowns):
-            ended.set()
-        return found
+        return ended
 
+    wave = WORKERS if enough else len(starts)
     with ThreadPoolExecutor(WORKERS) as pool:
-        return [found for found in pool.map(one, range(len(starts))) if found is not None]
+        for first in range(0, len(starts), wave):
+            ended = list(pool.map(one, range(first, min(first + wave, len(starts)))))
+            found += ended
+            if enough and any(enough(one_.unknowns) for one_ in ended):
+                break
+    return found

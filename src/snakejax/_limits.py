@@ -21,6 +21,7 @@ COARSE, FINE = 0.01, 0.0005
 """Grid [s] on which an optimiser sees the limits, and that of the proof."""
 BINS = 24
 """Stretches of time in each of which the optimiser sees the worst instant."""
+_UNUSED = 1e-9
 QUANTITIES = ("", "_rate", "_acceleration")
 
 
@@ -161,7 +162,8 @@ def within(model: Model, gait: Gait, limits: Limits, until: float) -> Gait:
 
 
 def reached_by(gaits: list[Gait], model: Model, until: float) -> Limits:
-    """The limits that given gaits keep to in angle and rate; nothing limits acceleration."""
+    """The limits that given gaits keep to in angle and rate; nothing limits acceleration, or what they do not use."""
     every = [peaks(model, gait, until) for gait in gaits]
     most = {name: max(one[name] for one in every) for name in every[0] if not name.endswith("_acceleration")}
-    return Limits.of(most)
+    used = {name: value if value > _UNUSED else np.inf for name, value in most.items()}
+    return Limits(*(Limit(used[joint], used[f"{joint}_rate"]) for joint in Limits._fields))

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from ._descend import Point, descend_all
 from ._errors import InputError
-from ._gait import Gait, Sines
+from ._gait import Gait, Logged, Sines
 from ._limits import Limits, peaks, room, told, within
 from ._model import Model
 from ._objective import FRAME_RATE, Objective, Ran
@@ -78,6 +78,19 @@ def sines(signal: Any) -> list[list[float]]:
     return [[float(number) for number in row] for row in table if abs(row[0]) > 1e-9]
 
 
+def joint_log(gait: Gait) -> str:
+    """A gait of splines as the CSV of a joint log, which `case.toml` takes: the knots that the same splines go through.
+
+    **Raises:** `ValueError` where its commands are not splines through the same knots.
+    """
+    phi, psi = told(gait.phi), told(gait.psi)
+    if not (isinstance(phi, Logged) and isinstance(psi, Logged) and np.array_equal(phi.knots, psi.knots)):
+        raise ValueError("Only splines through the same knots make a joint log: write sines into case.toml.")
+    columns = (phi.knots, *(jax.vmap(signal.at)(phi.knots).angle for signal in (phi, psi)))
+    rows = zip(*(np.asarray(column) for column in columns), strict=True)
+    return "\n".join(["time_s,phi_rad,psi_rad", *(",".join(f"{v:.17g}" for v in row) for row in rows)]) + "\n"
+
+
 def band(limits: Limits, seconds: float) -> tuple[float, float]:
     """The angular frequencies [rad/s] that a gait of `seconds` is made of."""
     ratios = [limit.rate / limit.angle for limit in limits if np.isfinite(limit.rate)]
@@ -136,7 +149,7 @@ def tune(
         ended = [e._replace(unknowns=e.unknowns[:-1]) for e in ended]
     else:
         task.point(begins[0])  # compiled before the threads begin
-        ended = descend_all(task.point, begins, bounds, most, progress, task.enough)
+        ended = descend_all(task.point, begins, bounds, most, progress, task.enough if objective.once else None)
 
     def journey(board: Model, gait: Gait) -> Journey:
         whole = accurate(board, gait, seconds, start)
@@ -212,8 +225,6 @@ class _Task(eqx.Module):
 
     def enough(self, unknowns: np.ndarray) -> bool:
         """Whether `unknowns` meet all there is to meet."""
-        if not self.objective.once:
-            return False
         found = self.point(unknowns)
         return bool((np.abs(found.equal) < MET).all() and found.cost < MET and (found.room > -_TOLERANCE).all())
 
