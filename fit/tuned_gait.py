@@ -18,8 +18,8 @@ sj.prepare_jax()
 import numpy as np  # noqa: E402
 
 from snakejax import plot, plot_tune  # noqa: E402
-from snakejax._cli.tune import tuned_json  # noqa: E402
 from snakejax._json import as_text, write_whole  # noqa: E402
+from snakejax._tuned import tuned_json  # noqa: E402
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 LIMITS = {"phi": 0.916, "psi": 1.57, "phi_rate": 3.664, "psi_rate": 6.28}

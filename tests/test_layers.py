@@ -19,8 +19,9 @@ ORDER = [
     "effects", "readers", "_toml", "_case", "_presets", "_check", "_template",
     "_pieces", "_cluster", "_sweep", "_rayleigh", "_windows", "_fit", "_replay", "_compare", "_score", "_sight",
     "_diagnose", "_free_force", "_dependence", "_missing", "_starter", "_explain",
-    "_shapes", "_limits", "_torque", "_objective", "_ran", "_draws", "_descend", "_tune", "_apart", "_discriminate",
-    "_json", "_text", "_story", "report", "plot", "plot_tune", "_cli", "__main__", "__init__",
+    "_shapes", "_limits", "_torque", "_objective", "_ran", "_draws", "_descend", "_task", "_tune",
+    "_apart", "_bed", "_discriminate",
+    "_json", "_text", "_story", "_tuned", "report", "plot", "plot_tune", "_cli", "__main__", "__init__",
 ]
 # fmt: on
 CORE = ORDER[: ORDER.index("effects")]

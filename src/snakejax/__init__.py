@@ -8,6 +8,9 @@ import importlib.metadata
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from ._bed import Bed as Bed
+    from ._bed import bed as bed
+    from ._bed import most_confusable as most_confusable
     from ._board import TABLE_II as TABLE_II
     from ._board import Board as Board
     from ._board import Wheelset as Wheelset
@@ -16,11 +19,8 @@ if TYPE_CHECKING:
     from ._check import estimate_noise as estimate_noise
     from ._check import noise_of as noise_of
     from ._cluster import cluster as cluster
-    from ._discriminate import Bed as Bed
     from ._discriminate import Separation as Separation
     from ._discriminate import Sharpening as Sharpening
-    from ._discriminate import bed as bed
-    from ._discriminate import most_confusable as most_confusable
     from ._discriminate import separate as separate
     from ._discriminate import sharpen as sharpen
     from ._draws import draws as draws
@@ -103,7 +103,8 @@ _HOMES = {
     "_case": "load_case",
     "_check": "check estimate_noise noise_of",
     "_cluster": "cluster",
-    "_discriminate": "Bed Separation Sharpening bed most_confusable separate sharpen",
+    "_bed": "Bed bed most_confusable",
+    "_discriminate": "Separation Sharpening separate sharpen",
     "_draws": "draws",
     "_effect": "Clock Command Effect Floor Force Grip Layout Linkage Memory Motion Rolling Sensor Wheel",
     "_errors": "InputError",

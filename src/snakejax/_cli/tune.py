@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from .._gait import Gait
     from .._model import Model
     from .._objective import Objective
-    from .._tune import Tuned
 
 OBJECTIVES = (
     "distance",
@@ -140,6 +139,7 @@ def work(
     from .._presets import Preset
     from .._ran import Driver
     from .._tune import tune
+    from .._tuned import report, toml, tuned_json
 
     clock = Clock()
     wanted = objective(options.objective)
@@ -208,121 +208,3 @@ def boards(options: argparse.Namespace, subject: Any, say: Say) -> "tuple[list[M
     over = options.over or ("mean" if open_ else "fit")
     drawn = draws(found, DRAWS, options.seed, lambda done, total: say("drawing from the fit", done, total))
     return [found.model, *drawn], over
-
-
-def tuned_json(found: "Tuned", asked: str, over: str) -> dict[str, Any]:
-    """A tuned gait as JSON."""
-    import math
-
-    return {
-        "gait": found.terms(),
-        "objective": found.after.result,
-        "start": list(found.start),
-        "limits": {name: value for name, value in found.limits.named().items() if math.isfinite(value)},
-        "asked": asked,
-        "duration_s": found.seconds,
-        "met": found.met,
-        "reached": found.reached,
-        "over": over,
-        "before": found.before and journey_json(found.before),
-        "after": journey_json(found.after),
-        "spread": found.spread,
-        "simulations": {"all": found.simulations, "with_derivative": found.slopes},
-    }
-
-
-def journey_json(journey: Any) -> dict[str, Any]:
-    """A gait, what it achieves, and its path with the angles of the joints, 25 times a second."""
-    import jax
-    import numpy as np
-
-    from .._limits import told
-    from .._tune import sines
-
-    times = np.asarray(journey.run.times)[::4]
-    pose = np.asarray(journey.run.pose)[::4]
-    joints = {n: np.asarray(jax.vmap(getattr(journey.gait, n).at)(times).angle) for n in ("phi", "psi")}
-    try:
-        gait = {name: sines(told(getattr(journey.gait, name))) for name in ("phi", "psi")}
-    except ValueError:
-        gait = None
-    path = {"t": times, "x": pose[:, 0], "y": pose[:, 1], "heading": pose[:, 2], **joints}
-    return {
-        "gait": gait,
-        "objective": journey.result,
-        "effort_n2m2s": float(journey.run.effort),
-        "path": {name: np.round(values, 7).tolist() for name, values in path.items()},
-    }
-
-
-def toml(found: "Tuned", name: str, asked: str) -> str:
-    """The gait as two lines of a run in `case.toml`."""
-    terms = found.terms()
-    head = f"# {name}, {asked}: a gait tuned for {found.seconds:g} s from rest"
-    return "\n".join([head, *(f"{joint} = {terms[joint]}" for joint in terms)]) + "\n"
-
-
-def report(name: str, asked: str, found: "Tuned", over: str) -> Any:
-    """What is said of a tuned gait."""
-    from rich.console import Group
-    from rich.text import Text
-
-    from .._text import add_row, indented, plain_table
-
-    lines: list[Any] = [Text(name, style="bold"), Text(f"{asked} in {found.seconds:g} s, {_tuned_for(over)}")]
-    table = plain_table("gait", *(keys := list(_named(asked, found.after.result))), right=tuple(keys))
-    if found.before is not None:
-        add_row(table, "best known, within the limits", *_named(asked, found.before.result).values())
-    add_row(table, "tuned", *_named(asked, found.after.result).values())
-    lines += [Text(), indented(table)]
-    if found.spread:
-        lines.append(Text(f"over draws from the fit: {_spread(asked, found.spread)}"))
-    lines += [gait_table(found), Text(limits_line(found))]
-    if not found.met:
-        lines.append(Text("! No gait was found that gets there: allow more time or wider limits.", style="yellow"))
-    lines.append(Text(f"{found.simulations} simulations, {found.slopes} of them with their derivative"))
-    return Group(*lines)
-
-
-def gait_table(found: "Tuned") -> Any:
-    """The terms of a gait."""
-    from .._text import add_row, indented, plain_table
-
-    gait = plain_table("joint", "amplitude\n[rad]", "frequency\n[rad/s]", "phase\n[rad]")
-    for joint, terms in found.terms().items():
-        for term in terms:
-            add_row(gait, joint, *(f"{number:.5f}" for number in term))
-    return indented(gait)
-
-
-def _tuned_for(over: str) -> str:
-    return "tuned for the board as it is" if over == "fit" else f"tuned for the {over} of draws from the fit"
-
-
-UNITS = {"distance": ("distance [m]", 1.0), "turn": ("turn [rad]", 1.0)}
-
-
-def _named(asked: str, result: Any) -> dict[str, str]:
-    if isinstance(result, dict):
-        return {key.replace("_", " "): f"{value:.4g}" for key, value in result.items()}
-    return {UNITS.get(asked, ("cost", 1.0))[0]: f"{result:.4f}"}
-
-
-def _spread(asked: str, spread: list[Any]) -> str:
-    import numpy as np
-
-    if isinstance(spread[0], dict):
-        return ", ".join(f"{key.replace('_', ' ')} up to {max(one[key] for one in spread):.3g}" for key in spread[0])
-    return f"mean {np.mean(spread):.4f}, from {min(spread):.4f} to {max(spread):.4f}"
-
-
-def limits_line(found: "Tuned") -> str:
-    """How near a gait comes to its limits."""
-    import math
-
-    parts = [
-        f"{name} {found.reached[name]:.4g} of {most:.4g}"
-        for name, most in found.limits.named().items()
-        if math.isfinite(most)
-    ]
-    return "at most, command and joint: " + ", ".join(parts)
