@@ -59,9 +59,10 @@ def main(folder: Path, pairs=PAIRS, trials: int = 200, **how) -> list[Proof]:
     noise = sj.noise_of(case)
     fit = sj.fit(sj.starting_model(case), case.runs, noise)
     proofs = []
+    # All candidates in one model, so that all pairs share what is compiled.
+    known = sj.bed(fit, {name: LIBRARY[name]() for pair in pairs for name in pair})
+    driver = sj.Driver.of(case.runs[0].gait)
     for pair in pairs:
-        known = sj.bed(fit, {name: LIBRARY[name]() for name in pair})
-        driver = sj.Driver.of(case.runs[0].gait)
         design = sj.separate(
             known, pair, sj.Limits.of(LIMITS), SECONDS, case.runs, driver=driver, given=_gaits(case), **how
         )

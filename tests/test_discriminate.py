@@ -39,6 +39,15 @@ def test_the_gap_is_the_rise_of_a_least_squares_fit() -> None:
         assert found[k] == pytest.approx(left @ left, rel=1e-6)
 
 
+def test_a_gap_is_wide_where_only_the_wrong_sign_could_imitate() -> None:
+    C = columns()
+    C[:, 3] = -C[:, 3]
+    q = np.linalg.qr(C[:, :2])[0]
+    left = C[:, 2] - q @ (q.T @ C[:, 2])
+    found = both_gaps(C.T @ C, pair_of((0.7, 0.4), np.zeros(4)))
+    assert found[0] == pytest.approx(0.49 * left @ left, rel=1e-6)
+
+
 @pytest.mark.parametrize("sizes", [(0.1, 0.1), (0.3, 0.2), (1.0, 1.0)])
 def test_the_certainty_is_the_exact_one_of_two_directions(sizes) -> None:
     """With unit vectors a, b at cosine r and S the length of the truth, the answer is right where the two independent

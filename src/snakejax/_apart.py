@@ -46,15 +46,17 @@ def without_tyre(G, effects: Sequence[int], tyre: Sequence[int], xp=np):
     return S - across.T @ xp.linalg.solve(inner, across)
 
 
-def gap(S, first: int, sizes, xp=np):
+def gap(S, first: int, sizes, low, high, xp=np):
     """By how much chi^2 rises, at least, where the first effect acts at `sizes` and the second is fitted instead.
 
-    a^T (S_aa - S_ab S_bb^-1 S_ba) a, the parameters of the first effect the leading `first` of S.
+    The least of a^T S_aa a - 2 b^T S_ba a + b^T S_bb b over b, the parameters of the first effect the leading `first`
+    of S; a single b keeps to its domain, `low` to `high`: what only its other sign could imitate, it cannot.
     """
-    a, across, other = S[:first, :first], S[first:, :first], S[first:, first:]
-    other = other + _RIDGE * xp.diag(xp.diag(other))
-    left = a - across.T @ xp.linalg.solve(other, across)
-    return sizes[:first] @ left @ sizes[:first]
+    a = sizes[:first]
+    own, pull, other = a @ S[:first, :first] @ a, S[first:, :first] @ a, S[first:, first:]
+    b = xp.linalg.solve(other + _RIDGE * xp.diag(xp.diag(other)), pull)
+    b = xp.clip(b, low, high) if b.shape == (1,) else b
+    return own - 2 * b @ pull + b @ other @ b
 
 
 def both_gaps(G, pair: Pair, xp=np):
@@ -62,7 +64,9 @@ def both_gaps(G, pair: Pair, xp=np):
     found = []
     for one, other in ((pair.first, pair.second), (pair.second, pair.first)):
         S = without_tyre(G, (*one, *other), pair.tyre, xp)
-        found.append(gap(S, len(one), xp.asarray(pair.sizes)[np.array(one)], xp))
+        mine, theirs = np.array(one), np.array(other)
+        ends = (xp.asarray(end)[theirs] for end in (pair.low, pair.high))
+        found.append(gap(S, len(one), xp.asarray(pair.sizes)[mine], *ends, xp))
     return found
 
 
