@@ -162,18 +162,18 @@ def drawn(proofs: list[Proof]) -> Figure:
     figure = Figure(figsize=(8.6, 4.0), layout="constrained")
     axis = figure.subplots()
     places = np.arange(len(proofs))[::-1]
-    for shift, colour, label, expected, found in (
-        (0.2, "0.7", "given runs", [p.design.before for p in proofs], [p.given for p in proofs]),
-        (-0.2, "#f0a37f", "with the designed runs", [p.design.after for p in proofs], [p.designed for p in proofs]),
-    ):
+    before = ("0.7", "given runs, expected", [p.design.before for p in proofs], [p.given for p in proofs])
+    after = ("#f0a37f", "with one designed run", [p.design.after for p in proofs], [p.designed for p in proofs])
+    for shift, (colour, label, expected, found) in ((0.2, before), (-0.2, after)):
         share = np.array(found)
-        error = 1.96 * np.sqrt(np.maximum(share * (1 - share), 0.01) / proofs[0].trials)
-        axis.barh(places + shift, 100 * np.array(expected), 0.36, color=colour, label=f"{label}, expected of one run")
-        axis.errorbar(100 * share, places + shift, xerr=100 * error, fmt="ko", ms=4, lw=1)
+        error = 196 * np.sqrt(np.maximum(share * (1 - share), 0.01) / proofs[0].trials)
+        axis.barh(places + shift, 100 * np.array(expected), 0.36, color=colour, label=label)
+        dots = {"fmt": "ko", "ms": 4, "lw": 1, "label": None if shift > 0 else "found, with all designed runs"}
+        axis.errorbar(100 * share, places + shift, xerr=error, **dots)
     axis.axvline(95, color="0.2", ls=":", lw=1)
-    axis.set(xlim=(40, 102), xlabel="right answers [%] (dots: fits to made-up recordings)", yticks=places)
+    axis.set(xlim=(40, 102), xlabel="right answers [%]", yticks=places)
     axis.set_yticklabels([" or\n".join(p.design.effects) for p in proofs], fontsize="small")
-    axis.legend(fontsize="small", loc="upper left")
+    axis.legend(fontsize="small", loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)
     return figure
 
 
