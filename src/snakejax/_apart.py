@@ -65,8 +65,8 @@ def both_gaps(G, pair: Pair, xp=np):
     for one, other in ((pair.first, pair.second), (pair.second, pair.first)):
         S = without_tyre(G, (*one, *other), pair.tyre, xp)
         mine, theirs = np.array(one), np.array(other)
-        ends = (xp.asarray(end)[theirs] for end in (pair.low, pair.high))
-        found.append(gap(S, len(one), xp.asarray(pair.sizes)[mine], *ends, xp))
+        sizes, low, high = xp.asarray(pair.sizes)[mine], xp.asarray(pair.low)[theirs], xp.asarray(pair.high)[theirs]
+        found.append(gap(S, len(one), sizes, low, high, xp))
     return found
 
 

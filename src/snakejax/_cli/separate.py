@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from .._errors import InputError
+from .._errors import InputError, instead_of
 from ._options import finite, given
 from ._setup import Clock, Outcome, Say
 from .fit import fitted
@@ -60,12 +60,15 @@ def work(
     if isinstance(case, Preset) or options.set or options.saved:
         what = "What the next run should be follows from what the given ones leave open"
         raise InputError(what, WHERE, "name a recorded case, without --set and --from")
+    for name in effects or ():
+        if name not in LIBRARY:
+            raise InputError(f"There is no effect `{name}`", WHERE, instead_of(name, LIBRARY))
     clock = Clock()
     gaits, length = gaits_of(case)
     seconds = length if seconds is None else seconds
     found, noise = fitted(options, case, say)
     limits = Limits.of(limit, reached_by(gaits, found.model, length) if gaits else None)
-    wanted = LIBRARY if effects is None else {name: LIBRARY[name] for name in effects if name in LIBRARY}
+    wanted = LIBRARY if effects is None else {name: LIBRARY[name] for name in effects}
     say("what the given runs say")
     known = bed(found, {} if options.objective == "information" else {name: kind() for name, kind in wanted.items()})
     how = {
