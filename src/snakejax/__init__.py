@@ -9,12 +9,20 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ._align import fit_logged as fit_logged
+    from ._bed import Bed as Bed
+    from ._bed import bed as bed
+    from ._bed import most_confusable as most_confusable
     from ._board import TABLE_II as TABLE_II
     from ._board import Board as Board
     from ._board import Wheelset as Wheelset
     from ._case import load_case as load_case
     from ._check import check as check
     from ._cluster import cluster as cluster
+    from ._discriminate import Separation as Separation
+    from ._discriminate import Sharpening as Sharpening
+    from ._discriminate import separate as separate
+    from ._discriminate import sharpen as sharpen
+    from ._draws import draws as draws
     from ._effect import Clock as Clock
     from ._effect import Command as Command
     from ._effect import Effect as Effect
@@ -45,11 +53,20 @@ if TYPE_CHECKING:
     from ._gait import Tracked as Tracked
     from ._lanes import simulate_many as simulate_many
     from ._lanes import stacked as stacked
+    from ._limits import Limits as Limits
     from ._missing import Missing as Missing
     from ._model import Model as Model
+    from ._objective import Distance as Distance
+    from ._objective import Effort as Effort
+    from ._objective import Objective as Objective
+    from ._objective import Own as Own
+    from ._objective import Ran as Ran
+    from ._objective import Reach as Reach
+    from ._objective import Turn as Turn
     from ._prepare import prepare_jax as prepare_jax
     from ._presets import Preset as Preset
     from ._presets import preset as preset
+    from ._ran import Driver as Driver
     from ._rayleigh import Polynomial as Polynomial
     from ._rayleigh import nearest_rayleigh as nearest_rayleigh
     from ._rayleigh import polynomial as polynomial
@@ -57,6 +74,10 @@ if TYPE_CHECKING:
     from ._recording import LogClock as LogClock
     from ._recording import Noise as Noise
     from ._recording import Run as Run
+    from ._shapes import Fourier as Fourier
+    from ._shapes import Spline as Spline
+    from ._shapes import Sums as Sums
+    from ._shapes import spline as spline
     from ._simulate import Accuracy as Accuracy
     from ._simulate import Trajectory as Trajectory
     from ._simulate import motions as motions
@@ -66,6 +87,11 @@ if TYPE_CHECKING:
     from ._sweep import grid as grid
     from ._sweep import sweep as sweep
     from ._sweep import table as table
+    from ._torque import effort as effort
+    from ._torque import torques as torques
+    from ._tune import Tuned as Tuned
+    from ._tune import joint_log as joint_log
+    from ._tune import tune as tune
     from ._tyre import Bakker as Bakker
     from ._tyre import Pacejka as Pacejka
     from ._tyre import Rayleigh as Rayleigh
@@ -91,21 +117,30 @@ _HOMES = {
     "_case": "load_case",
     "_check": "check",
     "_cluster": "cluster",
+    "_bed": "Bed bed most_confusable",
+    "_discriminate": "Separation Sharpening separate sharpen",
+    "_draws": "draws",
     "_effect": "Clock Command Effect Floor Force Grip Layout Linkage Memory Motion Rolling Sensor Wheel",
     "_errors": "InputError",
     "_explain": "Diagnosis Explanation Stage diagnose explain",
     "_fit": "Fit FitError fit profile starting_model",
     "_gait": "Gait Logged Sines Tracked",
     "_lanes": "simulate_many stacked",
+    "_limits": "Limits",
     "_missing": "Missing",
     "_model": "Model",
+    "_objective": "Distance Effort Objective Own Ran Reach Turn",
     "_prepare": "prepare_jax",
     "_presets": "Preset preset",
+    "_ran": "Driver",
     "_rayleigh": "Polynomial nearest_rayleigh polynomial",
     "_recording": "Case LogClock Noise Run",
+    "_shapes": "Fourier Spline Sums spline",
     "_simulate": "Accuracy Trajectory motions simulate",
     "_starter": "starter",
     "_sweep": "Axes grid sweep table",
+    "_torque": "effort torques",
+    "_tune": "Tuned joint_log tune",
     "_tyre": "Bakker Pacejka Rayleigh",
     "_units": "Scalar param",
     "readers": "Capture Hints read_capture read_track write_csv write_tum",

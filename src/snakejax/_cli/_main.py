@@ -9,12 +9,12 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from .._errors import InputError
-from . import check, compare, completion, diagnose, explain, fit, importing, new, simulate, sweep
+from . import check, compare, completion, diagnose, explain, fit, importing, new, simulate, sweep, tune
 from ._interrupt import persistent_interrupt
 from ._options import Formatter
 
 DONE, FAILED, WRONG, INTERRUPTED = 0, 1, 2, 130
-COMMANDS = (check, new, importing, fit, compare, diagnose, explain, simulate, sweep, completion)
+COMMANDS = (check, new, importing, fit, compare, diagnose, explain, simulate, sweep, tune, completion)
 
 _EXAMPLES = """\
 examples:

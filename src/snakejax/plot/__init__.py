@@ -11,6 +11,8 @@
 | `confusability` | which candidates the runs cannot tell apart |
 | `missing` | the missing force, and what it depends on |
 | `sweep` | k_s against a parameter with its polynomial, or maps over two |
+| `tuned` | a gait before and after tuning: path, joints within their limits, spread over draws |
+| `designed` | a run designed to tell two effects apart, or to determine the tyre |
 | `animate` | the moving board, as GIF or MP4 |
 
 What is measured is grey, the base model blue, each effect of one colour and dash in every picture.
@@ -25,6 +27,8 @@ from ._error import fall as fall
 from ._error import waterfall as waterfall
 from ._force import missing as missing
 from ._force import tyre as tyre
+from ._gait import designed as designed
+from ._gait import tuned as tuned
 from ._paths import gaps as gaps
 from ._paths import paths as paths
 from ._paths import residuals as residuals

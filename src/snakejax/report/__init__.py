@@ -18,6 +18,7 @@ from . import _sections as sections
 from ._movie import movie
 from ._page import Model, Page, Section, render
 from ._sweep import sweep_page
+from ._tune import tune_page
 
 
 def fit_page(case: Case, noise: Noise, found: Fit, result: Json, model: Played) -> str:
@@ -84,4 +85,4 @@ def _page(case, noise, told: str, models: Sequence[Played], parts: Sequence[Sect
     )
 
 
-__all__ = ["diagnosis_page", "explanation_page", "fit_page", "sweep_page"]
+__all__ = ["diagnosis_page", "explanation_page", "fit_page", "sweep_page", "tune_page"]

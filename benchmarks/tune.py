@@ -1,0 +1,150 @@
+"""Gradients against searches without: the distance a board covers in 8 s, tuned by `snakejax.tune`, CMA-ES (`cma`) and
+scipy's differential evolution, on the same simulator, the same unknowns and the same limits, in one run.
+
+    python benchmarks/tune.py [TIMES]
+
+The searches know no constraints: each gait they try is made smaller until it keeps to the limits, by the same proven
+bounds. They may simulate TIMES (default 10) as often as `tune` did. Needs the extra `bench`.
+"""
+
+import sys
+import time
+from pathlib import Path
+
+import snakejax as sj
+
+sj.prepare_jax()
+
+import cma  # noqa: E402
+import equinox as eqx  # noqa: E402
+import jax  # noqa: E402
+import jax.numpy as jnp  # noqa: E402
+import numpy as np  # noqa: E402
+from scipy.optimize import differential_evolution  # noqa: E402
+
+from snakejax._limits import COARSE, QUANTITIES, Limits, held, reached  # noqa: E402
+from snakejax._ran import Ask, seen, sloped  # noqa: E402
+from snakejax._shapes import scaled  # noqa: E402
+from snakejax._tune import TERMS, band  # noqa: E402
+
+DATA = Path(__file__).resolve().parents[1] / "data"
+TYRE = dict(B=6.0, C=1.4, D=6.0, E=0.3)
+LIMITS = Limits.of({"phi": 0.916, "psi": 1.57, "phi_rate": 3.664, "psi_rate": 6.28})
+SECONDS = 8.0
+POPULATION = 32
+
+
+class Counted:
+    """The distance of many gaits at once, made feasible; counts simulations and keeps the best so far."""
+
+    def __init__(self, model: sj.Model, ask: Ask) -> None:
+        self.model, self.ask, self.count, self.best, self.history = model, ask, 0, 0.0, []
+        self.low, self.high = ask.shape.bounds()
+
+    def __call__(self, unknowns: np.ndarray) -> np.ndarray:
+        rows = np.clip(unknowns, self.low, self.high)
+        filled = np.concatenate([rows, np.repeat(rows[-1:], -len(rows) % POPULATION, axis=0)])
+        found = np.concatenate(
+            [
+                _far(self.model, self.ask, jnp.asarray(filled[k : k + POPULATION]))
+                for k in range(0, len(filled), POPULATION)
+            ]
+        )[: len(rows)]
+        found = np.where(np.isfinite(found), found, 0.0)
+        self.count += len(rows)
+        self.best = max(self.best, float(found.max()))
+        self.history.append((self.count, self.best))
+        return -found
+
+    def at(self, count: int) -> float:
+        """The best after `count` simulations."""
+        return max((best for done, best in self.history if done <= count), default=0.0)
+
+    def reached(self, distance: float) -> int | None:
+        """How many simulations it took to come so far."""
+        return next((done for done, best in self.history if best >= distance), None)
+
+
+@eqx.filter_jit
+def _far(model: sj.Model, ask: Ask, unknowns):
+    def one(z):
+        command = ask.shape.gait(z)
+        most = {name: [] for name in Limits._fields}
+        for name, signal in held(model, ask.driver.driven(command)):
+            values = reached(signal, SECONDS, COARSE)
+            for q, part in zip(QUANTITIES, values, strict=True):
+                most[name].append(jnp.max(part) / LIMITS.named()[name + q])
+        factors = {name: 1 / jnp.maximum(1.0, jnp.max(jnp.stack(parts))) for name, parts in most.items()}
+        gait = sj.Gait(scaled(command.phi, factors["phi"]), scaled(command.psi, factors["psi"]))
+        pose = sj.simulate(
+            model, ask.driver.driven(gait), ask.times, ask.start,
+            accuracy=sj.Accuracy(rtol=1e-6, atol=1e-8, derivative="forward"), throw=False,
+        ).pose  # fmt: skip
+        return jnp.hypot(*(pose[-1, :2] - pose[0, :2]))
+
+    return jax.vmap(one)(unknowns)
+
+
+def main(times: float) -> None:
+    """Prints the table."""
+    case = sj.load_case(DATA / "level-board")
+    model = sj.Model(case.board, sj.Pacejka(**TYRE), "free")
+    driver = sj.Driver.of(case.runs[0].gait)
+    shape = sj.Sums((LIMITS.phi.angle, LIMITS.psi.angle), band(LIMITS, SECONDS), TERMS)
+    ask = Ask(shape, driver, jnp.array([0.0, SECONDS]), jnp.zeros(3), False)
+
+    sj.tune(model, sj.Distance(), LIMITS, SECONDS, driver=driver, starts=1, most=1)  # compiled
+    began = time.perf_counter()
+    ours = sj.tune(model, sj.Distance(), LIMITS, SECONDS, driver=driver)
+    seconds = {"tune": time.perf_counter() - began}
+    budget = int(times * ours.simulations)
+
+    far = Counted(model, ask)
+    far(np.array([shape.guess(np.random.default_rng(0))]))
+    evolving, differing = Counted(model, ask), Counted(model, ask)
+    began = time.perf_counter()
+    rng, round_ = np.random.default_rng(0), 0
+    while evolving.count < budget:
+        # Restarts from further guesses, as `tune` has several starts.
+        options = dict(popsize=POPULATION, verbose=-9, seed=round_ + 1, bounds=list(map(list, shape.bounds())))
+        guesses = np.array([np.clip(shape.guess(rng), *shape.bounds()) for _ in range(POPULATION)])
+        first = guesses[int(np.argmin(evolving(guesses)))]
+        search, round_ = cma.CMAEvolutionStrategy(first, 0.2, options), round_ + 1
+        while not search.stop() and evolving.count < budget:
+            asked = search.ask()
+            search.tell(asked, evolving(np.array(asked)).tolist())
+    seconds["CMA-ES"] = time.perf_counter() - began
+
+    began = time.perf_counter()
+    guesses = np.array([np.clip(shape.guess(rng), *shape.bounds()) for _ in range(4 * POPULATION)])
+    differential_evolution(
+        lambda x: differing(x.T), list(zip(*shape.bounds(), strict=True)), init=guesses, seed=0, polish=False,
+        vectorized=True, updating="deferred", tol=0.0, maxiter=max(budget // len(guesses) - 1, 1),
+    )  # fmt: skip
+    seconds["differential evolution"] = time.perf_counter() - began
+
+    z = jnp.asarray(guesses[0])
+    slow, quick = (_each(f) for f in (lambda: sloped(model, ask, z), lambda: seen(model, ask, z[None])))
+    reached_ = ours.after.result
+    print(
+        f"distance in {SECONDS:g} s; a simulation with its {shape.size} derivatives takes {slow / quick:.1f} plain ones"
+    )
+    print(f"{'':24}{'distance [m]':>14}{'simulations':>13}{'seconds':>9}   as far as tune after")
+    print(f"{'tune':24}{reached_:14.4f}{ours.simulations:13d}{seconds['tune']:9.1f}   ({ours.slopes} with derivatives)")
+    for name, other in (("CMA-ES", evolving), ("differential evolution", differing)):
+        after = other.reached(reached_)
+        said = f"{after} ({after / ours.simulations:.1f} times as many)" if after else "never"
+        print(f"{name:24}{other.best:14.4f}{other.count:13d}{seconds[name]:9.1f}   {said}")
+        print(f"{'  at as many as tune':24}{other.at(ours.simulations):14.4f}{ours.simulations:13d}")
+
+
+def _each(call, count: int = 20) -> float:
+    jax.block_until_ready(call())
+    began = time.perf_counter()
+    for _ in range(count):
+        jax.block_until_ready(call())
+    return (time.perf_counter() - began) / count
+
+
+if __name__ == "__main__":
+    main(float(sys.argv[1]) if len(sys.argv) > 1 else 10.0)
