@@ -35,20 +35,18 @@ def _achieved(result: Json) -> str:
         )
     if "information" in result:
         return "the run that says most about the tyre."
+    unit = {"distance": " m", "turn": " rad"}.get(result["asked"], "")
     before = result["before"]
-    was = (
-        ""
-        if before is None or before["objective"] is None
-        else f", where the best known gait has {_said(before['objective'])}"
-    )
+    known = before and before["objective"]
+    was = "" if known is None else f", where the best known gait has {_said(known, unit)}"
     met = "" if result.get("met", True) else " No gait was found that gets there."
-    return f"{_said(result['objective'])}{was}.{met}"
+    return f"{_said(result['objective'], unit)}{was}.{met}"
 
 
-def _said(objective: Any) -> str:
+def _said(objective: Any, unit: str = "") -> str:
     if isinstance(objective, Mapping):
         return ", ".join(f"{name.replace('_', ' ')} {value:.3g}" for name, value in objective.items())
-    return f"{objective:.4g}"
+    return f"{objective:.4g}{unit}"
 
 
 def _sides(result: Json) -> Iterator[tuple[str, str, Look, Json]]:
