@@ -5,7 +5,7 @@
 For each pair: the strength at which the given runs are right in 70 % of the cases, the gait that tells the two apart
 best, and the proof. Recordings are made up with one of the effects or the other, fitted with either, and the better fit
 is taken for the answer; first the given runs alone, then with the designed one. Takes some 10 minutes; figure and
-table go into FOLDER (default `fit/figures`).
+table go into FOLDER (default `docs/gallery`).
 """
 
 import sys
@@ -178,4 +178,4 @@ def drawn(proofs: list[Proof]) -> Figure:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "figures")
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).resolve().parents[1] / "docs" / "gallery")

@@ -4,7 +4,7 @@
 
 On the recorded board of `data/level-board`: distance in 8 s against the paper's forward gait, and a pose reached in
 20 s. On Table II, which hardly grips: the distance in 8 s, beside the most that its tyre could give. Figures go into
-FOLDER (default `fit/figures`). Takes some five minutes.
+FOLDER (default `docs/gallery`). Takes some five minutes.
 """
 
 import sys
@@ -87,4 +87,4 @@ def tell(found: Gaits) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "figures")
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).resolve().parents[1] / "docs" / "gallery")
