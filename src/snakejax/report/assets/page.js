@@ -49,12 +49,17 @@
     }
   };
   const apply = () => {
+    const back = new Set();
     for (const element of document.querySelectorAll("figure, tr[data-run]")) {
-      element.hidden = !wanted({ run: element.dataset.run, stage: element.dataset.stage });
+      const hidden = !wanted({ run: element.dataset.run, stage: element.dataset.stage });
+      if (element.hidden && !hidden) back.add(element);
+      element.hidden = hidden;
     }
     for (const element of document.querySelectorAll(".chart")) {
-      if (element.closest("figure").hidden || !drawn.has(element.id)) continue;
-      drawn.get(element.id).then(() => { Plotly.Plots.resize(element); show(element); });
+      const figure = element.closest("figure");
+      if (figure.hidden || !drawn.has(element.id)) continue;
+      // The window may have another width than when the chart was last seen.
+      drawn.get(element.id).then(() => { if (back.has(figure)) Plotly.Plots.resize(element); return show(element); });
     }
   };
   document.querySelector(".controls")?.addEventListener("change", apply);
