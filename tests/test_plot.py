@@ -19,7 +19,8 @@ from small import small
 
 from snakejax import InputError, plot, polynomial
 from snakejax._palette import BASE, COLOURS, DASHES, MEASURED, look
-from snakejax._played import Played, played_fit
+from snakejax._played import Played, played_fit, played_model
+from snakejax._replay import fitted_starts, replay
 from snakejax.effects import LIBRARY
 
 PICTURES = Path(__file__).parent / "pictures"
@@ -127,3 +128,15 @@ def _cut(scene, samples: int):
     track = scene.track._replace(times=scene.track.times[:samples])
     parts = ("seen", "pose", "steered", "rotor", "slip_speed")
     return scene._replace(track=track, **{part: getattr(scene, part)[:samples] for part in parts})
+
+
+def test_a_simulated_run_is_a_scene_too() -> None:
+    """The same poses as `replay` gives, and residuals in metres and radians."""
+    case, _, found = small()
+    starts = fitted_starts(found)
+    played = played_model(found.model, case.runs, starts)
+    for scene, run, pose in zip(played.scenes, case.runs, replay(found.model, case.runs, starts), strict=True):
+        assert np.allclose(scene.pose, pose, rtol=0, atol=1e-9)
+        assert np.allclose(scene.track.residual, np.asarray(run.pose) - pose, rtol=0, atol=1e-9, equal_nan=True)
+    assert played.traction is None
+    assert [axis.get_title() for axis in plot.paths([played]).axes] == ["here", "there (held out)"]

@@ -1,22 +1,28 @@
 """The models of a result, each with what it plays in every run."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
 
 from ._explain import Explanation, Stage
 from ._fit import Fit
 from ._grip import Traction, traction
+from ._model import Model
 from ._palette import Look, look
-from ._scenes import Scene, scenes, scenes_of
+from ._recording import Run
+from ._scenes import Scene, scenes, scenes_of, simulated
 
 
 class Played(NamedTuple):
-    """One model: a `key` for the page, a `label` for a reader, its look, its scenes and its tyre."""
+    """One model: a `key` for the page, a `label` for a reader, its look, its scenes; where it was fitted, its tyre."""
 
     key: str
     label: str
     look: Look
     scenes: tuple[Scene, ...]
-    traction: Traction
+    traction: Traction | None
 
 
 def played_fit(found: Fit) -> Played:
@@ -25,6 +31,11 @@ def played_fit(found: Fit) -> Played:
     effects = list(found.model.effects)
     label = f"model with {' and '.join(effects)}" if effects else "model"
     return Played("0", label, look(""), seen, traction(found.study, found.optimum, seen))
+
+
+def played_model(model: Model, runs: Sequence[Run], starts: Float[np.ndarray, "R S"]) -> Played:
+    """A model that was not fitted, in `runs` from their starts."""
+    return Played("0", "model", look(""), simulated(model, runs, starts), None)
 
 
 def played_stage(stage: Stage, number: int = 0) -> Played:

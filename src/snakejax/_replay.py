@@ -16,7 +16,7 @@ from ._simulate import Accuracy, simulate
 from ._study import Study
 
 ACCURACY = Accuracy(derivative="forward")
-_UNIT_NOISE = Noise(np.asarray(1.0), np.asarray(1.0), source="none")
+UNIT_NOISE = Noise(np.asarray(1.0), np.asarray(1.0), source="none")
 
 
 def replay(model: Model, runs: Sequence[Run], starts: Float[np.ndarray, "R S"]) -> list[Float[np.ndarray, "n 3"]]:
@@ -25,8 +25,7 @@ def replay(model: Model, runs: Sequence[Run], starts: Float[np.ndarray, "R S"]) 
     **Arguments:** `starts` (R, 3), poses at rest, or (R, 6) where a run is under way, as `simulate` takes them.
     **Raises:** `FitError` where the simulation of a run fails.
     """
-    side_by_side = batch(_placed(runs, starts), _UNIT_NOISE)
-    poses, finished = _replay(model, side_by_side, np.asarray(starts, float))
+    poses, finished = _replay(model, side_by_side(runs, starts), np.asarray(starts, float))
     found = []
     for run, pose, done in zip(runs, np.asarray(poses), np.asarray(finished), strict=True):
         pose = pose[: run.times.shape[0]]
@@ -39,10 +38,11 @@ def replay(model: Model, runs: Sequence[Run], starts: Float[np.ndarray, "R S"]) 
     return found
 
 
-def _placed(runs: Sequence[Run], starts: Float[np.ndarray, "R S"]) -> list[Run]:
-    """`runs` with their start for a pose, since nothing of what was seen matters here and a preset has seen nothing."""
+def side_by_side(runs: Sequence[Run], starts: Float[np.ndarray, "R S"]) -> Batch:
+    """`runs` as one block, their start for a pose: nothing of what was seen matters, and a preset has seen nothing."""
     poses = (np.broadcast_to(start[:3], (run.times.shape[0], 3)) for run, start in zip(runs, starts, strict=True))
-    return [eqx.tree_at(lambda r: r.pose, run, pose) for run, pose in zip(runs, poses, strict=True)]
+    placed = [eqx.tree_at(lambda r: r.pose, run, pose) for run, pose in zip(runs, poses, strict=True)]
+    return batch(placed, UNIT_NOISE)
 
 
 @eqx.filter_jit

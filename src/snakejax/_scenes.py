@@ -1,5 +1,6 @@
 """What a fitted model does in each recorded run, beside what was seen: the material of every comparison and picture."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -8,8 +9,12 @@ import numpy as np
 from jaxtyping import Float
 from scipy import optimize
 
+from ._board import Board
 from ._effect import Motion
 from ._fit import Fit
+from ._model import Model
+from ._recording import Run
+from ._replay import ACCURACY, side_by_side
 from ._simulate import motions, simulate
 from ._study import Optimum, Study
 
@@ -86,8 +91,24 @@ def _scene(study: Study, optimum: Optimum, k: int) -> Scene:
     residual = np.where(weight > 0, np.asarray(optimum.linearised.residual)[k, :n], np.nan)
     batch = jax.tree.map(lambda leaf: leaf[k], study.batch)
     played = _played(study.fitted(optimum), batch, optimum.start[k], study.accuracy)
+    return _dressed(run, played, residual, np.asarray(study.noise.channels), study.model.board)
+
+
+def simulated(model: Model, runs: Sequence[Run], starts: Float[np.ndarray, "R S"]) -> tuple[Scene, ...]:
+    """Every one of `runs` as `model` plays it from its start; residuals in m and rad, NaN where nothing was seen."""
+    block = side_by_side(runs, starts)
+    made = []
+    for k, (run, start) in enumerate(zip(runs, np.asarray(starts, float), strict=True)):
+        played = _played(model, jax.tree.map(lambda leaf, k=k: leaf[k], block), start, ACCURACY)
+        residual = np.asarray(run.pose) - np.asarray(played[2])[: run.times.shape[0]]
+        made.append(_dressed(run, played, residual, np.ones(3), model.board))
+    return tuple(made)
+
+
+def _dressed(run: Run, played: Any, residual: np.ndarray, sd: np.ndarray, board: Board) -> Scene:
+    n = run.times.shape[0]
     motion, force, pose, states = jax.tree.map(lambda leaf: np.asarray(leaf)[:n], played)
-    track = Track(run.name, run.role, np.asarray(run.times), residual, np.asarray(study.noise.channels), _named(motion))
+    track = Track(run.name, run.role, np.asarray(run.times), residual, sd, _named(motion))
     wheels = motion.wheels
     speed = np.stack([wheel.lateral for wheel in wheels], axis=1)
     rolling = np.stack([wheel.rolling for wheel in wheels], axis=1)
@@ -98,7 +119,7 @@ def _scene(study: Study, optimum: Optimum, k: int) -> Scene:
         np.stack([wheel.joint.angle for wheel in wheels], axis=1),
         motion.rotor.angle,
         speed,
-        np.arctan2(speed, np.hypot(rolling, float(study.model.board.creep_speed))),
+        np.arctan2(speed, np.hypot(rolling, float(board.creep_speed))),
         np.stack(force, axis=1),
         motion.heading - motion.theta,
         states,

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from ._films import add_films, films, require_films
 from ._options import add_cases, add_command, add_loading, add_model, given, start_pose
 from ._setup import Clock, Outcome, Say, each_case
 from .fit import fitted
@@ -31,11 +32,13 @@ def add(commands: Any) -> None:
     )
     command.add_argument("--csv", metavar="DIR", help="write RUN.csv there for each run: " + COLUMNS.replace(",", ", "))
     add_loading(command)
+    add_films(command)
 
 
 def run(options: argparse.Namespace) -> int:
     """Simulate each CASE."""
     start_pose(options.start)
+    require_films(options)
     return each_case(options, lambda case, say: work(options, case, say), presets=True)
 
 
@@ -91,7 +94,17 @@ def work(options: argparse.Namespace, subject: Any, say: Say) -> Outcome:
         "runs": rows,
         "seconds": clock.seconds(),
     }
-    return Outcome(clean(result), _report(subject.name, result))
+
+    def write(folder: Path) -> None:
+        from .. import plot
+        from .._played import played_model
+
+        say("drawing")
+        played = played_model(model, runs, np.asarray(starts))
+        plot.save(plot.paths([played]), folder, "paths")
+        films(options, played, model.board, folder, say)
+
+    return Outcome(clean(result), _report(subject.name, result), write)
 
 
 def _of_preset(options: argparse.Namespace, subject: Any) -> tuple:

@@ -19,13 +19,12 @@ def tyre(found: Fit | Sequence[Played]) -> Figure:
 
     Marks with 95% bars both ways are what the train runs ask of the tyre, whatever its law; see `_grip`.
     """
-    models = models_of(found)
+    fitted = [(model, model.traction) for model in models_of(found) if model.traction is not None]
     figure = Figure(figsize=(6.4, 4.6), layout="constrained")
     axis = figure.subplots()
-    viscous = models[0].traction.viscous
+    viscous = fitted[0][1].viscous
     factor = 1.0 if viscous else 180 / np.pi
-    for model in models:
-        curve, means = model.traction.curve, model.traction.asked
+    for model, (curve, means, _) in fitted:
         slip, colour = factor * curve.slip, model.look.colour
         band = (curve.force - 1.96 * curve.sd, curve.force + 1.96 * curve.sd)
         axis.fill_between(slip, *band, color=colour, alpha=0.2, lw=0)

@@ -26,7 +26,7 @@ def paths(found: Fit | Sequence[Played]) -> Figure:
     figure = Figure(figsize=(3.2 * columns, 3.2 * rows), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for k, (axis, scene) in enumerate(zip(axes, scenes, strict=False)):
-        drawn = [(scene.seen, MEASURED, "measured")]
+        drawn = [(scene.seen, MEASURED, "measured")] if np.isfinite(scene.seen).any() else []
         drawn += [(model.scenes[k].pose, model.look, model.label) for model in models]
         for pose, look, label in drawn:
             path(axis, pose, look, label, wide=look == MEASURED)

@@ -170,10 +170,10 @@ def suspects(ranking: Sequence[Json]) -> Chart:
 def tyre(models: Sequence[Played]) -> Chart:
     """The traction of each model against slip with its band, and what the recordings ask of the tyre."""
     traces = []
-    viscous = models[0].traction.viscous
+    fitted = [(model, model.traction) for model in models if model.traction is not None]
+    viscous = fitted[0][1].viscous
     factor, unit = (1.0, "slip speed [m/s]") if viscous else (180 / np.pi, "slip angle [degrees]")
-    for model in models:
-        curve, means = model.traction.curve, model.traction.asked
+    for model, (curve, means, _) in fitted:
         low, high = curve.force - 1.96 * curve.sd, curve.force + 1.96 * curve.sd
         traces.append(band(factor * curve.slip, low, high, model.label, model.look, stage=model.key))
         traces.append(line(factor * curve.slip, curve.force, model.label, model.look, stage=model.key))
