@@ -133,7 +133,7 @@ def test_the_designed_run_tells_apart_what_the_given_ones_do_not(tmp_path) -> No
     description = importlib.util.spec_from_file_location("study_next_run", FIT / "next_run.py")
     study = importlib.util.module_from_spec(description)
     description.loader.exec_module(study)
-    (proof,) = study.main(tmp_path, study.PAIRS[:1], trials=60, starts=1, most=8)
+    (proof,) = study.main(tmp_path, study.PAIRS[:1], trials=60)
     design = proof.design
     assert design.before == pytest.approx(0.7, abs=0.01) and design.after > 0.9
     assert proof.given == pytest.approx(0.7, abs=0.1)
