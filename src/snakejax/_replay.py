@@ -13,7 +13,6 @@ from ._fit import Fit, FitError
 from ._model import Model
 from ._recording import Noise, Run
 from ._simulate import Accuracy, simulate
-from ._study import Study
 
 ACCURACY = Accuracy(derivative="forward")
 UNIT_NOISE = Noise(np.asarray(1.0), np.asarray(1.0), source="none")
@@ -55,11 +54,6 @@ def _replay(model: Model, runs: Batch, starts: Float[np.ndarray, "R S"]):
     return jax.lax.map(lambda mine: one(*mine), (runs.times, runs.gait, runs.payload, starts))
 
 
-def fitted_poses(found: Fit) -> list[Float[np.ndarray, "n 3"]]:
-    """What the fitted model says of each run of its study, from the estimated starts."""
-    return replay(found.model, found.study.runs, fitted_starts(found))
-
-
 def fitted_starts(found: Fit) -> Float[np.ndarray, "R S"]:
     """Where each run of the study starts: (R, 3), or (R, 6) where one is under way."""
     starts = np.array(found.optimum.start)
@@ -67,11 +61,6 @@ def fitted_starts(found: Fit) -> Float[np.ndarray, "R S"]:
         rows = found.study.numbered("heldout")
         starts[rows] = found.heldout_optimum.start[rows]
     return starts
-
-
-def estimated_starts(study: Study) -> Float[np.ndarray, "R S"]:
-    """Where each run starts under the model as it is, by least squares over the whole run."""
-    return study.fit(study.values(), (), range(len(study.runs))).start
 
 
 def starts_of(runs: Sequence[Run], pose: Sequence[float]) -> Float[np.ndarray, "R 3"]:
