@@ -1,7 +1,6 @@
 """From options to a model: `--model`, `--skid`, `--from`, `--effect`, `--set`."""
 
 import argparse
-import importlib.util
 from collections import OrderedDict
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -18,6 +17,7 @@ from .._tyre import AbstractTyre
 from .._units import own_parameters, parameters, with_parameters
 from ..effects import LIBRARY
 from ._options import EffectSpec, assignments, effect_spec
+from ._own import own_module
 
 SKID_SWITCH = "lateral_skid"
 
@@ -137,16 +137,7 @@ def effect_class(spec: EffectSpec) -> type[Effect]:
             raise InputError(f"There is no effect `{spec.name}`", "option --effect", remedy)
         return LIBRARY[spec.name]
     path, name = spec.source
-    if not path.is_file():
-        raise InputError(f"There is no file `{path}`", "option --effect", "name a Python file, as in my.py:Spring")
-    description = importlib.util.spec_from_file_location(f"_snakejax_effect_{path.stem}", path)
-    assert description is not None and description.loader is not None
-    module = importlib.util.module_from_spec(description)
-    try:
-        description.loader.exec_module(module)
-    except Exception as error:
-        line = f" line {error.lineno}" if isinstance(error, SyntaxError) else ""
-        raise InputError(f"It cannot be run ({type(error).__name__}: {error})", f"{path}{line}", "mend it") from None
+    module = own_module(path, "option --effect", "my.py:Spring")
     found = getattr(module, name, None)
     if not (isinstance(found, type) and issubclass(found, Effect)):
         there = [

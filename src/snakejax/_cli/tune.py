@@ -1,13 +1,13 @@
 """`snakejax tune`: a better gait by gradient."""
 
 import argparse
-import importlib.util
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .._errors import InputError, instead_of
 from ._options import add_cases, add_command, add_loading, add_model, assignments, finite, given, start_pose
+from ._own import own_module
 from ._setup import Clock, Outcome, Say, each_case
 from .fit import fitted
 
@@ -104,15 +104,7 @@ def objective(text: str) -> "Objective":
 
 def _function(path: Path, name: str) -> Callable:
     where = "option --objective"
-    if not path.is_file():
-        raise InputError(f"There is no file `{path}`", where, "name a Python file, as in my.py:cost")
-    description = importlib.util.spec_from_file_location(f"_snakejax_objective_{path.stem}", path)
-    assert description is not None and description.loader is not None
-    module = importlib.util.module_from_spec(description)
-    try:
-        description.loader.exec_module(module)
-    except Exception as error:
-        raise InputError(f"It cannot be run ({type(error).__name__}: {error})", str(path), "mend it") from None
+    module = own_module(path, where, "my.py:cost")
     found = getattr(module, name, None)
     if not callable(found):
         there = [n for n, part in vars(module).items() if callable(part) and not n.startswith("_")]
