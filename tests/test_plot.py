@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray
+from matplotlib import rc_context
+from matplotlib.figure import Figure
 from matplotlib.testing.compare import compare_images
 from PIL import Image
 from small import small
@@ -22,6 +24,7 @@ from snakejax._palette import BASE, COLOURS, DASHES, MEASURED, look
 from snakejax._played import Played, played_fit, played_model
 from snakejax._replay import fitted_starts, replay
 from snakejax.effects import LIBRARY
+from snakejax.plot._paths import titled
 
 PICTURES = Path(__file__).parent / "pictures"
 TOLERANCE = 6.0
@@ -140,3 +143,13 @@ def test_a_simulated_run_is_a_scene_too() -> None:
         assert np.allclose(scene.track.residual, np.asarray(run.pose) - pose, rtol=0, atol=1e-9, equal_nan=True)
     assert played.traction is None
     assert [axis.get_title() for axis in plot.paths([played]).axes] == ["here", "there (held out)"]
+
+
+@pytest.mark.parametrize("name", ["a$b", "$x$", "100 $ and 2 $"])
+def test_a_dollar_in_the_name_of_a_run_is_drawn_as_it_is(name, tmp_path) -> None:
+    figure = Figure()
+    figure.suptitle(titled(name, "heldout"))
+    with rc_context({"svg.fonttype": "none"}):
+        figure.savefig(tmp_path / "title.svg")
+    words = [text for text in ElementTree.parse(tmp_path / "title.svg").getroot().itertext() if text.strip()]
+    assert f"{name} (held out)" in words

@@ -54,7 +54,7 @@ def path(axis: Axes, pose: Float[np.ndarray, "n 3"], look: Look, label: str, wid
 
 def titled(name: str, role: str) -> str:
     """A run as a title has it; a dollar in its name is no formula."""
-    name = name.replace("$", r"\\$")
+    name = name.replace("$", r"\$")
     return f"{name} (held out)" if role == "heldout" else name
 
 
