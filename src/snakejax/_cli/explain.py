@@ -97,7 +97,7 @@ def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
         say("drawing")
         models = list(played_stages(found))
         write_whole(folder / "explain.html", explanation_page(found, result, models))
-        plot.save(plot.fall(found), folder, "fall")
+        plot.save(plot.fall(found, models), folder, "fall")
         plot.save(plot.waterfall(found), folder, "waterfall")
         ends = models if len(models) < 3 else [models[0], models[-1]]
         plot.save(plot.paths(ends), folder, "paths")

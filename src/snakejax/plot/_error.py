@@ -1,34 +1,36 @@
 """Figures of the error falling."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from .._explain import Explanation
 from .._palette import HELDOUT, MEASURED, TRAIN
-from .._played import stage_look
-from .._scenes import scenes
+from .._played import Played, played_stage
 from ._paths import path, titled
 
 
-def fall(found: Explanation) -> Figure:
+def fall(found: Explanation, models: Sequence[Played] = ()) -> Figure:
     """The story of an explanation: the held-out path before and after, and the error falling step by step.
 
     Left, one held-out run (or train run where none is held out) as measured, by the base model and by the final one,
     x against y [m]. Right, the misfit of train and held-out runs at each step, on a logarithmic scale, and the noise.
+    `models`, where they are at hand, are those of its steps.
     """
     figure = Figure(figsize=(10.0, 4.2), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.2))
-    last = len(found.stages) - 1
-    stages = [found.stages[k] for k in sorted({0, last})]
-    played = [scenes(stage.bench.study, stage.step.optimum, stage.judgement) for stage in stages]
-    shown = next((k for k, scene in enumerate(played[0]) if scene.role == "heldout"), 0)
-    seen = played[0][shown].seen
+    ends = sorted({0, len(found.stages) - 1})
+    played = [models[k] if models else played_stage(found.stages[k]) for k in ends]
+    shown = next((k for k, scene in enumerate(played[0].scenes) if scene.role == "heldout"), 0)
+    seen = played[0].scenes[shown].seen
     path(left, seen, MEASURED, "measured", wide=True)
-    for stage, its in zip(stages, played, strict=True):
-        name = "base model" if stage is found.base else "with " + " and ".join(found.final.effects)
-        path(left, np.where(np.isfinite(seen), its[shown].pose, np.nan), stage_look(stage), name)
-    left.set(title=titled(its[shown].run, its[shown].role), xlabel="x [m]", ylabel="y [m]")
+    for k, model in zip(ends, played, strict=True):
+        name = "with " + " and ".join(found.final.effects) if k else "base model"
+        path(left, np.where(np.isfinite(seen), model.scenes[shown].pose, np.nan), model.look, name)
+    run = played[0].scenes[shown]
+    left.set(title=titled(run.run, run.role), xlabel="x [m]", ylabel="y [m]")
     left.set_aspect("equal", adjustable="datalim")
     left.legend(fontsize="small")
     _bars(right, found)
