@@ -9,8 +9,8 @@ from ._turn import AXES
 
 ARM = 0.2
 FLATTEST = 0.2
-FAR = 6.0
-MAD_TO_SD = 1.4826
+FAR = 9.0
+"""Places farther from the plane than this many times the median distance are no part of it: 6 sd of a normal one."""
 MOST = 20_000
 LEAST_FAR = 1e-6
 TRIES, SOME, MOST_SHARE = 300, 3000, 0.8
@@ -40,7 +40,7 @@ def ground_of(trajectories: Float[np.ndarray, "n k 3"]) -> Ground | None:
     for _ in range(3):
         off = moved @ normal
         near = np.abs(off - np.median(off))
-        kept = moved[near <= max(FAR * MAD_TO_SD * float(np.median(near)), LEAST_FAR)]
+        kept = moved[near <= max(FAR * float(np.median(near)), LEAST_FAR)]
         values, vectors = np.linalg.svd(kept - kept.mean(axis=0), full_matrices=False)[1:]
         normal = vectors[2]
     if values[1] == 0 or values[2] > FLATTEST * values[1]:
