@@ -25,11 +25,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session")
 def recordings() -> Path:
-    """The folder of the large recordings, which lies beside the repository and does not travel with it."""
-    folder = Path(__file__).resolve().parents[2] / "shared" / "recordings"
-    if not folder.is_dir():
-        pytest.skip("The large recordings are not here: they belong in ../shared/recordings.")
-    return folder
+    """The folder of the large recordings."""
+    return beside("recordings")
 
 
 @pytest.fixture(scope="session")
@@ -76,8 +73,13 @@ def own_effect(study_folder):
 
 @pytest.fixture(scope="session")
 def realdata() -> Path:
-    """The folder of real motion-capture exports, which lies beside the repository and does not travel with it."""
-    folder = Path(__file__).resolve().parents[2] / "shared" / "realdata"
+    """The folder of real motion-capture exports."""
+    return beside("realdata")
+
+
+def beside(name: str) -> Path:
+    """A folder that lies beside the repository and does not travel with it."""
+    folder = Path(__file__).resolve().parents[2] / "shared" / name
     if not folder.is_dir():
-        pytest.skip("The real exports are not here: they belong in ../shared/realdata.")
+        pytest.skip(f"The data are not here: they belong in ../shared/{name}.")
     return folder

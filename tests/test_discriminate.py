@@ -1,11 +1,11 @@
 """Designs against exact probabilities, plain least squares, and fits to made-up recordings."""
 
-import importlib.util
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from conftest import study
 from scipy import stats
 
 from snakejax._apart import Pair, both_gaps, certainty, information, repeats, strength
@@ -13,7 +13,7 @@ from snakejax._cli import main
 from snakejax._cli.separate import effects_of
 from snakejax._errors import InputError
 
-FIT = Path(__file__).resolve().parents[1] / "fit"
+DATA = Path(__file__).resolve().parents[1] / "data"
 FREE = np.full(4, np.inf)
 
 
@@ -118,7 +118,7 @@ def test_the_objective_is_read() -> None:
     ("options", "why"),
     [
         (["paper-rotate", "--objective", "separate"], "name a recorded case"),
-        ([str(FIT.parent / "data" / "level-board"), "--objective", "separate:a"], "does not name two effects"),
+        ([str(DATA / "level-board"), "--objective", "separate:a"], "does not name two effects"),
     ],
 )
 def test_what_cannot_be_designed_is_said_in_one_line(options, why, capsys) -> None:
@@ -130,14 +130,12 @@ def test_what_cannot_be_designed_is_said_in_one_line(options, why, capsys) -> No
 @pytest.mark.slow
 def test_the_designed_run_tells_apart_what_the_given_ones_do_not(tmp_path) -> None:
     """The study of `fit/`, on one pair: fits to made-up recordings are right as often as the design says."""
-    description = importlib.util.spec_from_file_location("study_next_run", FIT / "next_run.py")
-    study = importlib.util.module_from_spec(description)
-    description.loader.exec_module(study)
-    (proof,) = study.main(tmp_path, study.PAIRS[:1], trials=60)
+    next_run = study("next_run")
+    (proof,) = next_run.main(tmp_path, next_run.PAIRS[:1], trials=60)
     design = proof.design
     assert design.before == pytest.approx(0.7, abs=0.01) and design.after > 0.9
     assert proof.given == pytest.approx(0.7, abs=0.1)
     assert proof.designed == pytest.approx(design.after if proof.runs == 1 else 0.97, abs=0.06)
-    assert all(design.tuned.reached[name] <= most * (1 + 1e-9) for name, most in study.LIMITS.items())
+    assert all(design.tuned.reached[name] <= most * (1 + 1e-9) for name, most in next_run.LIMITS.items())
     assert max(advice.certainty for advice in design.advice) < design.after
     assert (tmp_path / "next_run.png").stat().st_size > 10_000
