@@ -21,7 +21,7 @@ from ._units import parameters
 from ._windows import LENGTH, Settled, Windows, linearised
 
 LATERAL_SKID = "lateral_skid"
-WIDTH = 12
+WIDTH = 13
 """How many parameters one compiled fit can free: a tyre and several effects."""
 NEARLY = 4.0
 """Below this misfit the errors of whole runs are small enough for a linear score, which is sharper than windows."""

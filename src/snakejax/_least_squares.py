@@ -18,6 +18,8 @@ from ._units import Domain, parameters, with_parameters
 REACH = 3.0
 MOST_STEPS = 60
 STALLED = 8
+LANES = 8
+"""Derivatives in so many directions cost as much as in fewer: numbers in one vector of the processor."""
 """Rejected steps in a row after which a fit has come as far as the accuracy of its simulations lets it."""
 _FAR, _RELATIVE = 2.0, 1e-5
 """A misfit above the first ends a fit early: where a step promises to lower chi^2 by less than the second share."""
@@ -171,6 +173,20 @@ def domains_of(model: Model, names: Sequence[str]) -> list[Domain]:
     return [known[name].domain for name in names]
 
 
+def narrowed(at: Unknowns) -> Unknowns:
+    """`at` without the directions behind the last one in use, but with as many as fill whole vectors of `LANES`."""
+    width, depth = at.directions.shape[0], at.start.shape[1]
+    used = np.flatnonzero(np.asarray(at.directions).any(axis=1))
+    least = 0 if not used.size else int(used[-1]) + 1
+    kept = min(width, -(-max(least + depth, 1) // LANES) * LANES - depth)
+    return eqx.tree_at(lambda u: u.directions, at, at.directions[:kept])
+
+
+def widened(found: Linearised, missing: int, kept: int) -> Linearised:
+    """`found` with `missing` columns of zeros behind the `kept` directions."""
+    return found._replace(jacobian=np.insert(found.jacobian, [kept] * missing, 0.0, axis=-1))
+
+
 def _run_residual(model, names, values, start, batch: Batch, accuracy: Accuracy):
     """Residual (n, 3) of one run; `batch` without its leading axis."""
     set_ = with_parameters(model, {name: values[k] for k, name in enumerate(names)})
@@ -277,8 +293,9 @@ def solve(
     promises to lower chi^2 by less than `enough`, and after `most` steps. `prior` (mean, 1 / spread) of the steps, each
     (K,), if any.
     """
+    directions, at = at.directions, narrowed(at)
     width = at.directions.shape[0]
-    prior = (np.zeros(width), np.zeros(width)) if prior is None else prior
+    prior = (np.zeros(width), np.zeros(width)) if prior is None else (prior[0][:width], prior[1][:width])
     ended, linearised, steps, settled = _solve(
         model,
         at,
@@ -291,7 +308,8 @@ def solve(
         jnp.asarray(most),
         accuracy,
     )
-    return Solved(ended, Linearised(*(np.asarray(part) for part in linearised)), int(steps), bool(settled))
+    linearised = widened(Linearised(*(np.asarray(part) for part in linearised)), len(directions) - width, width)
+    return Solved(eqx.tree_at(lambda u: u.directions, ended, directions), linearised, int(steps), bool(settled))
 
 
 def starts_removed(

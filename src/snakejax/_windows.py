@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ._least_squares import Linearised, Unknowns, domains_of, first, linearise
+from ._least_squares import Linearised, Unknowns, domains_of, first, linearise, narrowed, widened
 from ._model import Model
 from ._recording import Noise, Run
 from ._simulate import Accuracy
@@ -114,9 +114,10 @@ def linearised(
         directions = np.zeros((width, P))
         directions[range(len(free)), [study.names.index(name) for name in free]] = 1.0
     numbers = np.array([values[name] for name in study.names])
-    point = Unknowns(
-        study.names, jnp.asarray(numbers), jnp.asarray(directions), jnp.asarray(start), study.batch.free_start
+    point = narrowed(
+        Unknowns(study.names, jnp.asarray(numbers), jnp.asarray(directions), jnp.asarray(start), study.batch.free_start)
     )
+    kept = point.directions.shape[0]
 
     def share(part: Sequence[int]) -> Linearised:
         found = _linearise(
@@ -124,7 +125,7 @@ def linearised(
             point,
             study.batch,
             *first(part, study.batch),
-            jnp.zeros(width),
+            jnp.zeros(kept),
             jnp.zeros_like(study.batch.start),
             study.accuracy,
         )
@@ -132,7 +133,7 @@ def linearised(
 
     with ThreadPoolExecutor(THREADS) as pool:
         shares = list(pool.map(share, [list(runs)[k::THREADS] for k in range(THREADS)]))
-    return Linearised(*(sum(leaves[1:], leaves[0]) for leaves in zip(*shares, strict=True)))
+    return widened(Linearised(*(sum(parts[1:], parts[0]) for parts in zip(*shares, strict=True))), width - kept, kept)
 
 
 class Windows(eqx.Module):
