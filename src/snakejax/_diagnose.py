@@ -27,6 +27,8 @@ NEARLY = 4.0
 """Below this misfit the errors of whole runs are small enough for a linear score, which is sharper than windows."""
 HOPELESS = 50.0
 """Above this misfit a model is far from the truth, and polishing its parameters would only make them absurd."""
+CRAWL = 2e-3
+"""A model that is not the truth is fitted no further where a step lowers its misfit by less than this share."""
 FAR = 1.1
 """Above this misfit of the windows, they are searched for a further effect before whole runs are believed."""
 CLOSE = 2.0
@@ -259,8 +261,15 @@ def _probed(bench: Bench) -> set[str]:
     return {name.split(".")[1] for name in bench.probes()}
 
 
-def refit(bench: Bench, effects: Sequence[str], values: Mapping[str, float], *, near: bool = True) -> Optimum:
-    """Fit a model with `effects` to whole train runs from `values`.
+def refit(
+    bench: Bench,
+    effects: Sequence[str],
+    values: Mapping[str, float],
+    start: np.ndarray | None = None,
+    *,
+    near: bool = True,
+) -> Optimum:
+    """Fit a model with `effects` to whole train runs from `values`, and from `start` where it is known.
 
     Where windows leave little, the values there are `near` the optimum. Else the fit goes over a growing horizon, and
     stops early while the model stays far off: polishing it would only make its parameters absurd.
@@ -270,14 +279,14 @@ def refit(bench: Bench, effects: Sequence[str], values: Mapping[str, float], *, 
     known = {name: (values[name] if name in free else neutral[name]) for name in bench.study.names}
     known = {name: _off_zero(bench, name, value) if name in free else value for name, value in known.items()}
     if near:
-        found = bench.study.fit(known, free, train, most=30)
+        found = bench.study.fit(known, free, train, start, crawl=CRAWL, most=30)
         if found.misfit < HOPELESS:
             return found
     first = bench.study.fit(known, free, train, until=4.0, enough=1.0, weak_prior=True, most=6)
     rough = bench.study.fit(first.values, free, train, first.start, enough=1.0, weak_prior=True, most=4)
     if not rough.misfit < HOPELESS:
         return rough
-    return bench.study.fit(rough.values, free, train, rough.start, most=30)
+    return bench.study.fit(rough.values, free, train, rough.start, crawl=CRAWL, most=30)
 
 
 def _off_zero(bench: Bench, name: str, value: float) -> float:
@@ -345,7 +354,7 @@ def fresh_fit(
     if (only_noise(found) and found.converged) or not found.misfit < HOPELESS:
         return found
     first = approach(study, values, free, train, progress)
-    return least(found, study.fit(first.values, free, train, first.start, most=30))
+    return least(found, study.fit(first.values, free, train, first.start, crawl=CRAWL, most=30))
 
 
 def structures(case: Case, kind: str, skid: str | None) -> list[tuple[str, Model]]:

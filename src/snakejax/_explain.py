@@ -329,7 +329,7 @@ def _follow(bench, step, ranking, before, progress, show) -> list[Stage]:
             continue
         progress(f"can the model do without {name}?")
         rest = tuple(effect for effect in step.effects if effect != name)
-        without = Step(rest, refit(bench, rest, step.optimum.values))
+        without = Step(rest, _settled_without(bench, step, rest))
         lost = step.optimum.samples * (without.optimum.misfit - step.optimum.misfit)
         freed = len(step.optimum.free) - len(without.optimum.free)
         if lost / max(1.0, step.optimum.misfit) < stats.chi2.isf(ALPHA / 25, max(freed, 1)):
@@ -339,8 +339,20 @@ def _follow(bench, step, ranking, before, progress, show) -> list[Stage]:
     return stages
 
 
+def _settled_without(bench: Bench, step: Step, rest: Sequence[str]) -> Optimum:
+    """The fit with the effects `rest` alone, from where that of `step` ended; taken up again where it is on its way."""
+    found = refit(bench, rest, step.optimum.values, step.optimum.start)
+    if found.converged or not found.misfit < NEARLY:
+        return found
+    return least(found, bench.study.fit(found.values, bench.free(rest), bench.train, found.start))
+
+
 def _polished(bench: Bench, step: Step, progress) -> Step:
     """`step`, or a better optimum of the same model where it ended near the noise but not in it, or on the way."""
+    if only_noise(step.optimum) and not step.optimum.converged:
+        ended = step.optimum
+        further = bench.study.fit(ended.values, bench.free(step.effects), bench.train, ended.start)
+        step = Step(step.effects, least(further, ended))
     if (only_noise(step.optimum) and step.optimum.converged) or not step.optimum.misfit < HOPELESS:
         return step
     again = fresh_fit(bench, step.effects, step.optimum.values, progress)

@@ -192,6 +192,10 @@ def fit_study(
     optimum = study.fit(best.values, free, train, best.start, threshold=threshold)
     if not optimum.misfit < LACKING and free:
         optimum = least(optimum, shot(study, free, train, threshold, progress))
+    if not optimum.converged and optimum.misfit < LACKING:
+        progress("fitting whole runs more accurately")
+        study = study.sharper()
+        optimum = study.fit(optimum.values, free, train, optimum.start, threshold=threshold)
     return described(study, require_sound(study, optimum, train))
 
 

@@ -17,23 +17,26 @@ from ._units import Domain, parameters, with_parameters
 
 REACH = 3.0
 MOST_STEPS = 60
-STALLED = 8
 LANES = 8
 """Derivatives in so many directions cost as much as in fewer: numbers in one vector of the processor."""
-"""Rejected steps in a row after which a fit has come as far as the accuracy of its simulations lets it."""
-_FAR, _RELATIVE = 2.0, 1e-5
+STALLED, STUCK = 8, 0.02
+"""A fit has come as far as the accuracy of its simulations lets it after so many rejected steps in a row, or with one
+that is shorter than the first and lowers chi^2 by less than this share of what is enough.
+"""
+_FAR, _RELATIVE = 1.5, 1e-5
 """A misfit above the first ends a fit early: where a step promises to lower chi^2 by less than the second share."""
 
 
 class _Local(eqx.Module):
     """The linear problem of one step: Jacobian (M, N), residual (M,), the largest norm (N,) that each column of the
-    Jacobian has had so far, and what an undamped step promises.
+    Jacobian has had so far, what an undamped step promises, and by how much the last step lowered chi^2.
     """
 
     jacobian: Float[Array, "M N"]
     residual: Float[Array, " M"]
     size: Float[Array, " N"]
     promise: Float[Array, ""]
+    gain: Float[Array, ""]
 
 
 class _Marquardt(optx.AbstractDescent):
@@ -47,13 +50,16 @@ class _Marquardt(optx.AbstractDescent):
 
     def init(self, y, f_info_struct) -> _Local:
         rows = sum(leaf.size for leaf in jax.tree.leaves(f_info_struct.residual))
-        return _Local(jnp.zeros((rows, y.size)), jnp.zeros(rows), jnp.zeros(y.size), jnp.asarray(jnp.inf))
+        endless = jnp.asarray(jnp.inf)
+        return _Local(jnp.zeros((rows, y.size)), jnp.zeros(rows), jnp.zeros(y.size), endless, endless)
 
     def query(self, y, f_info, state) -> _Local:
         del y
         J, r = f_info.jac.as_matrix(), jnp.concatenate([leaf.ravel() for leaf in jax.tree.leaves(f_info.residual)])
         now = jnp.sqrt(jnp.sum(J**2, axis=0))
-        return _Local(J, r, jnp.maximum(state.size, now), jnp.sum(_solved(J, r, now, 1e-7)[1] ** 2))
+        promise = jnp.sum(_solved(J, r, now, 1e-7)[1] ** 2)
+        fell = jnp.sum(state.residual**2) - jnp.sum(r**2)
+        return _Local(J, r, jnp.maximum(state.size, now), promise, jnp.where(jnp.any(state.size > 0), fell, jnp.inf))
 
     def step(self, step_size, state):
         damping = 1 / (self.unit * jnp.sqrt(step_size))
@@ -76,29 +82,33 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
     one alone: these residuals bend, and with optimistix's own cutoff of 0.99 the damping stays large.
 
     It ends where an undamped step promises to lower chi^2 by less than `enough`, or, far from the noise of the
-    `samples`, by a small share of it.
+    `samples`, by a small share of it, or where the last step did lower it by no more than the share `crawl`.
     """
 
     enough: Float[Array, ""]
+    crawl: Float[Array, ""]
     samples: Float[Array, ""]
     most: Int[Array, ""]
     descent: _Marquardt
     rtol: float = 0.0
     atol: float = 1e-300
     norm: Callable = optx.two_norm
-    search: optx.AbstractSearch = optx.ClassicalTrustRegion(high_cutoff=0.9, high_constant=3.0, low_constant=0.4)
+    search: optx.AbstractSearch = optx.ClassicalTrustRegion(high_cutoff=0.75, high_constant=30.0, low_constant=0.1)
     verbose: Callable = lambda **_: None
 
     def terminate(self, fn, y, args, options, state, tags):
         del fn, y, args, options, tags
         stalled = (state.num_steps >= self.most) | (state.num_steps_since_acceptance >= STALLED)
+        short = state.search_state.step_size < 1
+        stalled |= short & (state.descent_state.gain < STUCK * self.enough)
         return (state.num_steps > 0) & (self.settled(state) | stalled), state.result
 
     def settled(self, state):
         """Whether nothing is left to gain."""
         square = jnp.sum(state.descent_state.residual**2)
         far = square > _FAR * self.samples
-        return state.descent_state.promise < jnp.maximum(self.enough, jnp.where(far, _RELATIVE * square, 0.0))
+        little = state.descent_state.promise < jnp.maximum(self.enough, jnp.where(far, _RELATIVE * square, 0.0))
+        return little | (far & (state.descent_state.gain < self.crawl * square))
 
 
 class Unknowns(eqx.Module):
@@ -247,7 +257,7 @@ def _triangles(r, J):
 
 
 @eqx.filter_jit
-def _solve(model, at: Unknowns, batch: Batch, order, count, unit, prior, enough, threshold, most, accuracy):
+def _solve(model, at: Unknowns, batch: Batch, order, count, unit, prior, enough, crawl, threshold, most, accuracy):
     width, depth = at.directions.shape[0], at.start.shape[1]
     R = batch.times.shape[0]
     pull, strength = prior
@@ -263,7 +273,7 @@ def _solve(model, at: Unknowns, batch: Batch, order, count, unit, prior, enough,
 
     present = jnp.sum(batch.weight > 0, axis=(1, 2))[order]
     samples = jnp.sum(jnp.where(jnp.arange(R) < count, present, 0)).astype(float)
-    solver = _LevenbergMarquardt(enough=enough, samples=samples, most=most, descent=_Marquardt(unit))
+    solver = _LevenbergMarquardt(enough=enough, crawl=crawl, samples=samples, most=most, descent=_Marquardt(unit))
     solution = optx.least_squares(
         residuals, solver, jnp.zeros(width + R * depth), has_aux=True, max_steps=MOST_STEPS, throw=False
     )
@@ -283,6 +293,7 @@ def solve(
     unit: float = 30.0,
     prior: tuple[np.ndarray, np.ndarray] | None = None,
     enough: float = 0.05,
+    crawl: float = 0.0,
     threshold: float = np.inf,
     most: int = MOST_STEPS,
     accuracy: Accuracy,
@@ -290,7 +301,8 @@ def solve(
     """Levenberg-Marquardt from `at` over the runs numbered `runs`.
 
     The first step changes the residuals by about `unit` standard deviations of the noise at most. It ends where a step
-    promises to lower chi^2 by less than `enough`, and after `most` steps. `prior` (mean, 1 / spread) of the steps, each
+    promises to lower chi^2 by less than `enough`, or far from the noise has lowered it by less than the share `crawl`,
+    and after `most` steps. `prior` (mean, 1 / spread) of the steps, each
     (K,), if any.
     """
     directions, at = at.directions, narrowed(at)
@@ -304,6 +316,7 @@ def solve(
         jnp.asarray(unit, jnp.float64),
         (jnp.asarray(prior[0]), jnp.asarray(prior[1])),
         jnp.asarray(enough, jnp.float64),
+        jnp.asarray(crawl, jnp.float64),
         jnp.asarray(threshold, jnp.float64),
         jnp.asarray(most),
         accuracy,
