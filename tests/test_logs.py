@@ -12,7 +12,8 @@ from scipy.interpolate import CubicSpline
 
 from snakejax import fit_logged, load_case, starting_model
 from snakejax._errors import InputError
-from snakejax._gait import Logged, on_clock
+from snakejax._gait import Gait, Logged, on_clock
+from snakejax._log_noise import is_noisy, redrawn
 from snakejax._recording import LogClock
 from snakejax.quality import clocks, lag, smoothed
 
@@ -28,15 +29,18 @@ CLOCKS = {
 }
 
 
-def logged_case(folder: Path, keys: str, names=tuple(CLOCKS)) -> Path:
-    """`level-board`, or its runs `names`, with the joints' true motion as logs, on the clocks above; `keys` say what is
-    known of them.
+def logged_case(folder: Path, keys: str, names=tuple(CLOCKS), noise: float = 0.0) -> Path:
+    """`level-board`, or its runs `names`, with the joints' true motion and `noise` [rad] as logs, on the clocks above;
+    `keys` say what is known of them.
     """
+    rng = np.random.default_rng(1)
     shutil.copytree(DATA, folder)
     head, *runs = (DATA / "case.toml").read_text(encoding="utf-8").split("[[runs]]")
     text = head.split("[actuator]")[0]
     times = np.arange(0, 12.5, 0.01)
     for run, part in zip(load_case(DATA).runs, runs, strict=True):
+        if run.name not in names:
+            continue
         offset, drift = CLOCKS[run.name]
         joints = [
             np.asarray(jax.vmap(lambda t, s=s: s.at(t).angle)(jnp.asarray(times))) for s in (run.gait.phi, run.gait.psi)
@@ -44,6 +48,7 @@ def logged_case(folder: Path, keys: str, names=tuple(CLOCKS)) -> Path:
         # Some time before the start, when the joints stand still.
         at = np.concatenate([times[:100] - 1.0, times]) * (1 + drift) + offset
         table = np.column_stack([at, *(np.concatenate([np.zeros(100), joint]) for joint in joints)])
+        table[:, 1:] += noise * rng.normal(size=table[:, 1:].shape)
         rows = "".join(f"{t:.6f},{phi:.9f},{psi:.9f}\n" for t, phi, psi in table)
         (folder / f"{run.name}-joints.csv").write_text("time_s,phi_rad,psi_rad\n" + rows, encoding="utf-8")
         kept = [line for line in part.strip().splitlines() if not line.startswith(("phi", "psi"))]
@@ -134,34 +139,51 @@ def test_a_noisy_log_is_smoothed_and_a_clean_one_is_not():
     rng = np.random.default_rng(0)
     t = np.arange(0, 12, 0.005)
     true = 0.9 * np.sin(4 * t) + 0.2 * np.cos(7 * t)
-    assert smoothed(t, true) is true
+    assert smoothed(t, true).angles is true
     for rough in (true + 5e-4 * rng.normal(size=t.size), np.round(true / 1.5e-3) * 1.5e-3):
-        better = smoothed(t, rough)
+        better = smoothed(t, rough).angles
         assert np.std(better - true) < 0.5 * np.std(rough - true)
         inner = slice(100, -100)
         raw, good, exact = (CubicSpline(t, a)(t, 2)[inner] for a in (rough, better, true))
         assert np.std(good - exact) < 0.05 * np.std(raw - exact)
 
 
+def test_noise_that_is_drawn_anew_is_as_what_smoothing_leaves():
+    """Against the truth, in angle, rate and acceleration: no smaller, and at most a third larger."""
+    t = np.arange(0, 12, 0.01)
+    true = 0.9 * np.sin(4 * t) + 0.2 * np.cos(7 * t)
+    rng = np.random.default_rng(0)
+    left, drawn = [], []
+    for _ in range(30):
+        log = Logged.of(t, *smoothed(t, true + 5e-4 * rng.normal(size=t.size)))
+        assert 4e-4 < float(log.noise) < 6e-4
+        again = redrawn(Gait(log, log), rng).phi
+        at = [np.stack(jax.vmap(signal.at)(jnp.asarray(t))) for signal in (log, again, Logged.of(t, true))]
+        left.append((at[0] - at[2])[:, 50:-50])
+        drawn.append((at[1] - at[0])[:, 50:-50])
+    sizes = np.std(np.array(drawn), axis=(0, 2)) / np.std(np.array(left), axis=(0, 2))
+    assert (sizes > 0.9).all() and (sizes < 1.33).all()
+    clean = Gait(Logged.of(t, true), Logged.of(t, true))
+    assert not is_noisy(clean) and redrawn(clean, rng).phi is clean.phi
+
+
 @pytest.mark.slow
-def test_the_fit_tells_the_clocks_to_a_fraction_of_a_millisecond(tmp_path):
-    """Offsets and the one drift within 3 standard errors or the solver's 0.1 ms, and the tyre as without logs."""
-    folder = logged_case(
-        tmp_path / "case", 'offset_s = "estimate"', ("train-rotate-1", "train-arc-1", "heldout-sweep-1")
-    )
+def test_the_fit_tells_the_clocks_of_noisy_logs(tmp_path):
+    """Offsets, the one drift and the tyre within 3 standard errors, which noise in the logs makes larger."""
+    runs = ("train-forward-1", "train-rotate-1", "train-arc-1", "train-wander-1", "heldout-sweep-1")
+    folder = logged_case(tmp_path / "case", 'offset_s = "estimate"', runs, noise=5e-4)
     text = (folder / "case.toml").read_text(encoding="utf-8")
     arc = 'file = "train-arc-1-joints.csv", kind = "measured", offset_s = "estimate"'
     (folder / "case.toml").write_text(text.replace(arc, f'{arc}, drift = "estimate"'), encoding="utf-8")
     case = load_case(folder)
     found = fit_logged(starting_model(case), case.runs, case.noise)
-    assert found.train_score.misfit < 1.02 and found.heldout_score.misfit < 1.03
+    assert found.train_score.misfit < 1.05 and found.heldout_score.misfit < 1.06
     for run in found.study.runs:
         offset, drift = CLOCKS[run.name]
         assert run.log.source == "the fit"
-        assert abs(run.log.offset - offset) < 3 * run.log.offset_sd + 1e-4
-        assert run.log.offset_sd < 1e-3
+        assert abs(run.log.offset - offset) < 3 * run.log.offset_sd and run.log.offset_sd < 3e-3
         if drift:
-            assert abs(run.log.drift - drift) < 4 * run.log.drift_sd and run.log.drift_sd < 1e-4
+            assert abs(run.log.drift - drift) < 3 * run.log.drift_sd and run.log.drift_sd < 3e-4
     # As it was made: see data/README.md.
     for name, true in {"tyre.B": 7.589, "tyre.C": 1.515, "tyre.D": 8.543, "tyre.E": -0.122}.items():
         estimate = found.estimates[name]

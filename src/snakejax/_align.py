@@ -3,19 +3,23 @@
 The motion alone tells how far the clocks of log and cameras are apart to some hundredths of a second; the model tells
 it to milliseconds. Around a fit the residuals depend on the offset o and the drift d of each run's log almost linearly,
 so one step of Gauss and Newton, over parameters, starts and clocks together, moves the clocks, and the fit is repeated.
+In the end parameters and clocks have the standard errors of both together, and of the noise in the logs.
 """
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from ._fit import Fit, described, fit, require_sound, spread
 from ._gait import on_clock
 from ._least_squares import starts_removed
+from ._log_noise import is_noisy, replayed
 from ._model import Model
 from ._recording import Case, LogClock, Noise, Run
 from ._study import Optimum, Study, inverse
@@ -37,13 +41,30 @@ def fit_logged(
     threshold: float = np.inf,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Fit:
-    """`fit`, and with it the free clocks of joint logs: the runs of the fit have them, with standard errors."""
+    """`fit`, and with it the free clocks of joint logs: the runs of the fit have them, with standard errors.
+
+    What the parameters' errors owe to the clocks, and both to noise in the logs, is in them.
+    """
     found = fit(model, runs, noise, free, threshold=threshold, progress=progress)
-    for _ in range(ROUNDS if any(_free(run) for run in runs) else 0):
+    if any(_free(run) for run in runs):
+        found = _aligned(found, threshold, progress)
+        # Wrong clocks may have led the tyre astray.
+        again = fit(model, found.study.runs, noise, free, threshold=threshold, progress=progress)
+        if again.train_score.misfit < found.train_score.misfit:
+            found = _aligned(again, threshold, progress)
+    if any(_free(run) or is_noisy(run.gait) for run in found.study.runs):
+        progress("what the joint logs leave open")
+        found = _with_log_errors(found)
+    return found
+
+
+def _aligned(found: Fit, threshold: float, progress: Callable[[str], None]) -> Fit:
+    """`found` with clocks that stand still."""
+    for _ in range(ROUNDS):
         progress("aligning the clocks of the joint logs")
         aligned, moved = align(found)
         before = found.study
-        study = Study.of(model, aligned, noise, before.names, before.width, before.accuracy)
+        study = Study.of(before.model, aligned, before.noise, before.names, before.width, before.accuracy)
         train, began = study.numbered("train"), found.optimum
         optimum = study.fit(began.values, began.free, train, began.start, threshold=threshold)
         found = described(study, require_sound(study, optimum, train))
@@ -70,9 +91,9 @@ def align(found: Fit) -> tuple[tuple[Run, ...], float]:
         numbers = [k for k in study.numbered(role) if (log := study.runs[k].log) is not None and log.free]
         if optimum is None or not numbers:
             continue
-        step, covariance = _step(study, optimum, study.numbered(role), found.optimum)
-        errors = np.sqrt(np.diag(covariance)) * spread(optimum)
-        place = iter(range(len(step)))
+        joint = _linear(study, optimum, study.numbered(role), found.optimum)
+        step, errors = joint.step(optimum.linearised.residual), np.sqrt(np.diag(joint.covariance)) * spread(optimum)
+        place = iter(range(joint.count))
         for k in study.numbered(role):
             mine = {name: next(place) for name in _free(study.runs[k])}
             if mine:
@@ -80,6 +101,29 @@ def align(found: Fit) -> tuple[tuple[Run, ...], float]:
                 runs[k] = _moved(study.runs[k], steps, sds)
                 moved = max(moved, *(abs(steps[name]) / sds[name] for name in mine))
     return tuple(runs), moved
+
+
+def _with_log_errors(found: Fit) -> Fit:
+    """`found` with the errors that clocks and noise of the joint logs bring."""
+    study, optimum = found.study, found.optimum
+    joint = _linear(study, optimum, study.numbered("train"), optimum)
+    total = joint.covariance + joint.scatter(study, optimum) / spread(optimum) ** 2
+    runs = list(study.runs)
+    wider = optimum._replace(covariance=total[joint.count :, joint.count :])
+    _set_errors(runs, joint, np.sqrt(np.diag(total)) * spread(optimum))
+    if (judged := found.heldout_optimum) is not None:
+        unseen = _linear(study, judged, study.numbered("heldout"), wider)
+        total = unseen.covariance + unseen.scatter(study, judged) / spread(judged) ** 2
+        _set_errors(runs, unseen, np.sqrt(np.diag(total)) * spread(judged))
+    return described(dataclasses.replace(study, runs=tuple(runs)), wider)
+
+
+def _set_errors(runs: list[Run], joint: "_Linear", errors: np.ndarray) -> None:
+    place = iter(range(joint.count))
+    for k in joint.numbers:
+        mine = {f"{name}_sd": float(errors[next(place)]) for name in _free(runs[k])}
+        if mine and (log := runs[k].log) is not None:
+            runs[k] = dataclasses.replace(runs[k], log=log._replace(**mine))
 
 
 def _free(run: Run) -> tuple[str, ...]:
@@ -102,39 +146,65 @@ def _moved(run: Run, step: dict[str, float], sd: dict[str, float]) -> Run:
     return dataclasses.replace(run, gait=on_clock(run.gait, jnp.asarray(offset), jnp.asarray(drift)), log=new)
 
 
-def _step(study: Study, optimum: Optimum, numbers: list[int], fitted: Optimum) -> tuple[np.ndarray, np.ndarray]:
-    """The move (c,) of the clocks of the runs `numbers`, run by run, and its covariance for unit noise.
+class _Linear(NamedTuple):
+    """Runs `numbers` around a fit as linear in `count` clocks, run by run, and then in the loose parameters.
+
+    `columns`: for each run the derivative (N, c + K) of its residuals, starts projected out; `covariance` of the steps
+    for unit noise. Of held-out runs, whose parameters are given, the clocks alone move, `moving` of the columns.
+    """
+
+    numbers: list[int]
+    count: int
+    columns: list[Float[np.ndarray, "N c"]]
+    moving: int
+    inverse: Float[np.ndarray, "m m"]
+    covariance: Float[np.ndarray, "m m"]
+
+    def step(self, residual: Float[np.ndarray, "R n 3"]) -> Float[np.ndarray, " m"]:
+        """The Gauss-Newton step that `residual` asks for."""
+        parts = zip(self.numbers, self.columns, strict=True)
+        return -self.inverse @ sum(part[:, : self.moving].T @ np.asarray(residual[k]).reshape(-1) for k, part in parts)
+
+    def scatter(self, study: Study, optimum: Optimum) -> Float[np.ndarray, "m m"]:
+        """The covariance of the steps that noise in the logs brings."""
+        if not any(is_noisy(study.runs[k].gait) for k in self.numbers):
+            return np.zeros_like(self.covariance)
+        steps = np.array([self.step(change) for change in replayed(study, optimum, self.numbers)])
+        return steps.T @ steps / len(steps)
+
+
+def _linear(study: Study, optimum: Optimum, numbers: list[int], fitted: Optimum) -> _Linear:
+    """The runs `numbers` around `optimum`, with the parameters that the `fitted` one left loose.
 
     Parameters that `optimum` holds where the `fitted` one has them move no clock, but their errors are in its own.
     """
     loose = [fitted.free.index(name) for name in fitted.loose]
-    if optimum is not fitted:
+    given = fitted.free != optimum.free
+    if given:
         there = study.at(optimum.values, fitted.free, optimum.start)
         optimum = optimum._replace(linearised=study.evaluate(there, numbers))
-    columns = {name: _column(study, optimum, numbers, name) for name in STEPS}
     count = sum(len(_free(study.runs[k])) for k in numbers)
+    slopes = {name: _column(study, optimum, numbers, name) for name in STEPS} if count else {}
     free_start = np.asarray(study.batch.free_start)
-    normal = np.zeros((count + len(loose),) * 2)
-    pull = np.zeros(count + len(loose))
-    at = 0
+    columns, at = [], 0
     for k in numbers:
         names = _free(study.runs[k])
-        own = np.stack([columns[name][k].reshape(-1) for name in names], axis=1) if names else None
         r, J = starts_removed(optimum.linearised, k, study.width, free_start)
         part = np.zeros((r.size, count + len(loose)))
         part[:, count:] = J[:, loose]
-        if own is not None:
+        if names:
+            own = np.stack([slopes[name][k].reshape(-1) for name in names], axis=1)
             part[:, at : at + len(names)] = _without_starts(optimum, k, study.width, free_start, own)
             at += len(names)
-        normal += part.T @ part
-        pull -= part.T @ r
-    if fitted.free == optimum.free:
+        columns.append(part)
+    normal = sum((part.T @ part for part in columns), np.zeros((count + len(loose),) * 2))
+    if not given:
         covariance = inverse(normal)
-        return (covariance @ pull)[:count], covariance[:count, :count]
-    covariance = inverse(normal[:count, :count])
-    by_parameters = covariance @ normal[:count, count:]
-    step = covariance @ pull[:count]
-    return step, covariance + by_parameters @ fitted.covariance @ by_parameters.T
+        return _Linear(numbers, count, columns, count + len(loose), covariance, covariance)
+    alone = inverse(normal[:count, :count])
+    by_parameters = alone @ normal[:count, count:]
+    covariance = alone + by_parameters @ fitted.covariance @ by_parameters.T
+    return _Linear(numbers, count, columns, count, alone, covariance)
 
 
 def _without_starts(optimum: Optimum, run: int, width: int, free: np.ndarray, columns: np.ndarray) -> np.ndarray:

@@ -170,7 +170,7 @@ def _joints(row: Table, folder: Path) -> _Joints:
         times, *angles = read_joint_log(path)
         clock = _log_clock(row)
         cameras = clock.camera_times(times)
-        signals = [None if angle is None else Logged.of(cameras, smoothed(cameras, angle)) for angle in angles]
+        signals = [None if angle is None else Logged.of(cameras, *smoothed(cameras, angle)) for angle in angles]
         return _Joints(*signals, exact=kind == "measured")
     keys = [key for key in JOINTS if key != "phi_back" or key in row.values]
     signals = [Sines.of(row.numbers(key, 3, f"{key} = [[amplitude, frequency, phase], ...]")) for key in keys]
@@ -206,7 +206,7 @@ def _gaits(joints: list[_Joints], gains: dict[str, float] | None) -> list[Gait]:
 
 def _opposite(signal: Sines | Logged) -> Sines | Logged:
     if isinstance(signal, Logged):
-        return Logged(signal.knots, -signal.coefficients)
+        return Logged(signal.knots, -signal.coefficients, signal.noise, signal.strength)
     return Sines(-signal.amplitude, signal.frequency, signal.phase)
 
 

@@ -66,26 +66,30 @@ class Logged(AbstractSignal):
     """A measured or commanded joint angle from a log: the natural cubic spline through its samples.
 
     Build it with `Logged.of(times, angles)`. Before and after the log the joint stays where the log begins and ends.
+    Where each sample had `noise` [rad], it is a smoothing spline of the `strength` that took most of that away.
     """
 
     knots: Float[Array, " n"]
     coefficients: Float[Array, "4 n-1"]
+    noise: Scalar = eqx.field(default_factory=lambda: jnp.zeros(()))
+    strength: Scalar = eqx.field(default_factory=lambda: jnp.zeros(()))
 
     @staticmethod
-    def of(times: Any, angles: Any) -> "Logged":
+    def of(times: Any, angles: Any, noise: float = 0.0, strength: float = 0.0) -> "Logged":
         """From `times` [s], strictly increasing, and `angles` [rad], both (n,) with n >= 4."""
         times, angles = np.asarray(times, np.float64), np.asarray(angles, np.float64)
         if times.size < 4 or times.shape != angles.shape:
             raise ValueError(f"A joint log needs at least 4 samples of time and angle, but has {times.size}.")
         if not (np.isfinite(times).all() and np.isfinite(angles).all() and (np.diff(times) > 0).all()):
             raise ValueError("The times of a joint log must be finite and increase, and its angles must be finite.")
-        return Logged(jnp.asarray(times), jnp.asarray(CubicSpline(times, angles, bc_type="natural").c))
+        spline = jnp.asarray(CubicSpline(times, angles, bc_type="natural").c)
+        return Logged(jnp.asarray(times), spline, jnp.asarray(float(noise)), jnp.asarray(float(strength)))
 
     def on_clock(self, offset: Scalar, drift: Scalar) -> "Logged":
         """The same signal on a clock that shows t where that of the knots shows t (1 + drift) + offset [s]."""
         pace = 1 + drift
         powers = jnp.stack([pace**k for k in (3, 2, 1, 0)])
-        return Logged((self.knots - offset) / pace, self.coefficients * powers[:, None])
+        return Logged((self.knots - offset) / pace, self.coefficients * powers[:, None], self.noise, self.strength)
 
     def padded(self, samples: int) -> "Logged":
         """The same signal with `samples` knots, the new ones after its end, where it stays."""
@@ -95,7 +99,7 @@ class Logged(AbstractSignal):
         d, (c3, c2, c1, c0) = self.knots[-1] - self.knots[-2], self.coefficients[:, -1]
         stay = jnp.zeros((4, extra)).at[3].set(((c3 * d + c2) * d + c1) * d + c0)
         knots = jnp.concatenate([self.knots, self.knots[-1] + jnp.arange(1.0, extra + 1)])
-        return Logged(knots, jnp.concatenate([self.coefficients, stay], axis=1))
+        return Logged(knots, jnp.concatenate([self.coefficients, stay], axis=1), self.noise, self.strength)
 
     def at(self, t: Scalar) -> Joint:
         inside = (t >= self.knots[0]) & (t <= self.knots[-1])

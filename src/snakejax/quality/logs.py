@@ -1,5 +1,7 @@
 """Joint logs with noise: an encoder's steps, taken for motion, would be accelerations far beyond any joint's."""
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float
 
@@ -8,22 +10,53 @@ from .kinematics import bend, scale
 FEWEST = 50
 FINE = 1e-6
 """Noise [rad] that no derivative suffers from."""
+WEAK_AND_STRONG = (-12.0, 40.0)
+"""Logarithms of strengths between which every smoothing spline lies."""
 WHITE = -0.5
 """White noise bends a curve to one side and back: neighbouring bends correlate by -3/4, and those of motion by +1."""
 
 
-def smoothed(times: Float[np.ndarray, " n"], angles: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+class Smoothed(NamedTuple):
+    """`angles` [rad] (n,) with less noise; the `noise` [rad] of one sample before, and the `strength` of the spline."""
+
+    angles: Float[np.ndarray, " n"]
+    noise: float
+    strength: float
+
+
+def smoothed(times: Float[np.ndarray, " n"], angles: Float[np.ndarray, " n"]) -> Smoothed:
     """`angles` [rad] as they are, or where they are noisy the smoothing spline through them that predicts each sample
     best from all others (generalised cross validation, `scipy.interpolate.make_smoothing_spline`).
     """
     from scipy.interpolate import make_smoothing_spline
+    from scipy.optimize import root_scalar
 
     bends = bend(times, angles[:, None])
-    if len(times) < FEWEST or not scale(bends)[0] > FINE:
-        return angles
+    noise = scale(bends)[0]
+    if len(times) < FEWEST or not noise > FINE:
+        return Smoothed(angles, 0.0, 0.0)
     before, after = bends[:-1, 0], bends[1:, 0]
     if not (before * after).sum() < WHITE * (bends[:, 0] ** 2).sum():
-        return angles
-    # Cross validation asks for equal units of time and angle.
-    frame = float(np.median(np.diff(times)))
-    return make_smoothing_spline((times - times[0]) / frame, angles)((times - times[0]) / frame)
+        return Smoothed(angles, 0.0, 0.0)
+    best = make_smoothing_spline(_frames(times), angles)(_frames(times))
+    # scipy keeps its strength to itself: it is the one that leaves as much.
+    left = np.std(angles - best)
+
+    def more(log_strength: float) -> float:
+        return float(np.std(angles - splined(times, angles, np.exp(log_strength))) - left)
+
+    return Smoothed(best, float(noise), float(np.exp(root_scalar(more, bracket=WEAK_AND_STRONG).root)))
+
+
+def splined(
+    times: Float[np.ndarray, " n"], values: Float[np.ndarray, " n"], strength: float
+) -> Float[np.ndarray, " n"]:
+    """The cubic smoothing spline of `strength` through `values`, which is linear in them."""
+    from scipy.interpolate import make_smoothing_spline
+
+    return make_smoothing_spline(_frames(times), values, lam=strength)(_frames(times))
+
+
+def _frames(times: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Time in frames: cross validation asks for equal units of time and angle."""
+    return (times - times[0]) / float(np.median(np.diff(times)))
