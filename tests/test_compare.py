@@ -16,8 +16,9 @@ from snakejax._compare import (
     whiteness,
     worst,
 )
-from snakejax._fit import fit, starting_model
+from snakejax._fit import fit
 from snakejax._scenes import Track, gait_phase
+from snakejax._starting import starting_model
 
 TIMES = np.arange(0.0, 12.0, 0.01)
 SD = np.array([0.0004, 0.0004, 0.0025])

@@ -13,7 +13,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ._fit import Fit, described, fit, require_sound, spread
+from ._approach import require_sound
+from ._estimates import spread
+from ._fit import Fit, described, fit
 from ._gait import on_clock
 from ._least_squares import starts_removed
 from ._model import Model

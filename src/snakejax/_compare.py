@@ -11,9 +11,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import stats
 
-from ._fit import Fit, FitError, Score, fit, starting_model
+from ._errors import FitError
+from ._fit import Fit, fit
+from ._misfit import Score
 from ._recording import Case, Noise
 from ._scenes import Track, scenes_of
+from ._starting import starting_model
 from .quality import noise_of
 
 CHANNELS = ("x", "y", "heading")

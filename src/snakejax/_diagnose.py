@@ -9,13 +9,15 @@ import equinox as eqx
 import numpy as np
 from scipy import stats
 
+from ._approach import approach, least, require_sensitive, require_sound
 from ._effect import Effect
-from ._fit import approach, default_free, least, only_noise, require_sensitive, require_sound, starting_model
+from ._misfit import only_noise
 from ._model import Model
 from ._recording import Case, Noise
 from ._score import ALPHA, Scored, confusable
 from ._sight import Sight, tested
 from ._skid import Coupled
+from ._starting import default_free, starting_model
 from ._study import DEPENDENT, Optimum, Study
 from ._units import parameters
 from ._windows import LENGTH, Settled, Windows, linearised

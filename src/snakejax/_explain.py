@@ -7,6 +7,7 @@ import equinox as eqx
 import numpy as np
 from scipy import stats
 
+from ._approach import least
 from ._diagnose import (
     CLOSE,
     HOPELESS,
@@ -23,21 +24,10 @@ from ._diagnose import (
     structures,
 )
 from ._effect import Effect
-from ._fit import (
-    NOISE_SIGMAS,
-    Estimate,
-    RunScore,
-    Score,
-    estimated,
-    judged,
-    least,
-    noise_band,
-    only_noise,
-    pooled,
-    run_scores,
-    spread,
-)
+from ._estimates import Estimate, estimated, spread
+from ._fit import judged
 from ._least_squares import starts_removed
+from ._misfit import NOISE_SIGMAS, RunScore, Score, noise_band, only_noise, pooled, run_scores
 from ._missing import Missing, missing_force
 from ._recording import Case, Noise
 from ._score import ALPHA

@@ -18,10 +18,13 @@ import numpy as np
 
 from ._compare import Comparison, Side
 from ._errors import InputError, at_line
-from ._fit import MODELS, Estimate, Fit, RunScore, Score
+from ._estimates import Estimate
+from ._fit import Fit
+from ._misfit import RunScore, Score
 from ._model import Model
 from ._recording import Case, Noise, Run
 from ._skid import SKIDS, Ideal
+from ._starting import MODELS
 from ._tyre import Bakker, Rayleigh
 from ._units import parameters
 from .quality import Inspection

@@ -8,8 +8,8 @@ from rich.text import Text
 
 from ._diagnose import LATERAL_SKID, Ranked
 from ._effect import Clock, Sensor
+from ._estimates import Estimate
 from ._explain import Explanation, Stage
-from ._fit import Estimate
 from ._json import (
     Json,
     clean,

@@ -166,7 +166,7 @@ def each_case(
 
     start_jax()
     from .._cluster import ClusterError
-    from .._fit import FitError
+    from .._errors import FitError
     from .._json import require_writable
 
     status, cases = DONE, {}

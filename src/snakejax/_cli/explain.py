@@ -77,10 +77,10 @@ def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     from .. import plot
     from .._align import with_clocks
     from .._explain import explain
-    from .._fit import starting_model
     from .._json import joint_logs_json, provenance_json, write_whole
     from .._played import played_stages
     from .._starter import starter
+    from .._starting import starting_model
     from .._story import explanation_json, explanation_text
     from ..quality import noise_of
     from ..report import explanation_page

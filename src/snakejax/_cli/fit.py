@@ -42,8 +42,8 @@ def run(options: argparse.Namespace) -> int:
 
 def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     """Fit one case."""
-    from .._fit import profile
     from .._json import fit_json, provenance_json
+    from .._profile import profile
     from .._text import fit_report
 
     clock = Clock()
@@ -76,7 +76,7 @@ def fitted(options: argparse.Namespace, case: "Case", say: Say) -> "tuple[Fit, N
 
 def profiled(options: argparse.Namespace, found: "Fit") -> list[str]:
     """The parameters whose profile is wanted. **Raises:** `InputError` for one that was not estimated."""
-    from .._fit import chosen
+    from .._starting import chosen
 
     patterns = names(options.profile) or []
     loose = found.optimum.loose

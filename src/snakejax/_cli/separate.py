@@ -40,7 +40,7 @@ def work(
     """Design the next run of one case."""
     from .._bed import bed, most_confusable
     from .._discriminate import separate, sharpen
-    from .._fit import FitError
+    from .._errors import FitError
     from .._json import clean, heading_json, provenance_json, write_whole
     from .._limits import Limits, reached_by
     from .._presets import Preset

@@ -121,7 +121,7 @@ def _of_preset(options: argparse.Namespace, subject: Any) -> tuple:
 
 
 def _of_case(options: argparse.Namespace, case: Any, say: Say) -> tuple:
-    from .._fit import run_scores
+    from .._misfit import run_scores
     from .._replay import fitted_starts, starts_of
     from .._study import Study
     from ..quality import noise_of
@@ -147,7 +147,7 @@ def _of_case(options: argparse.Namespace, case: Any, say: Say) -> tuple:
 
 
 def _pooled(scores: Sequence[Any]) -> Any:
-    from .._fit import pooled
+    from .._misfit import pooled
 
     return pooled(scores) if scores else None
 

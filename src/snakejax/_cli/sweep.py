@@ -99,7 +99,7 @@ def work(
     import numpy as np
 
     from .._cluster import cluster
-    from .._fit import FitError
+    from .._errors import FitError
     from .._json import clean, heading_json, provenance_json, write_whole
     from .._pieces import local
     from .._presets import Preset

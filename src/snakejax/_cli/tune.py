@@ -125,7 +125,7 @@ def work(
         from .separate import work as design
 
         return design(options, subject, seconds, limit, start, say)
-    from .._fit import FitError
+    from .._errors import FitError
     from .._json import clean, heading_json, provenance_json, write_whole
     from .._limits import Limits, reached_by
     from .._presets import Preset
