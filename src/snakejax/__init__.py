@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from ._case import load_case as load_case
     from ._check import check as check
     from ._cluster import cluster as cluster
+    from ._diagnose import Diagnosis as Diagnosis
+    from ._diagnose import diagnose as diagnose
     from ._discriminate import Separation as Separation
     from ._discriminate import Sharpening as Sharpening
     from ._discriminate import separate as separate
@@ -38,10 +40,7 @@ if TYPE_CHECKING:
     from ._effect import Wheel as Wheel
     from ._errors import FitError as FitError
     from ._errors import InputError as InputError
-    from ._explain import Diagnosis as Diagnosis
     from ._explain import Explanation as Explanation
-    from ._explain import Stage as Stage
-    from ._explain import diagnose as diagnose
     from ._explain import explain as explain
     from ._fit import Fit as Fit
     from ._fit import fit as fit
@@ -81,6 +80,7 @@ if TYPE_CHECKING:
     from ._simulate import Trajectory as Trajectory
     from ._simulate import motions as motions
     from ._simulate import simulate as simulate
+    from ._stage import Stage as Stage
     from ._starter import starter as starter
     from ._starting import starting_model as starting_model
     from ._sweep import Axes as Axes
@@ -118,11 +118,12 @@ _HOMES = {
     "_check": "check",
     "_cluster": "cluster",
     "_bed": "Bed bed most_confusable",
+    "_diagnose": "Diagnosis diagnose",
     "_discriminate": "Separation Sharpening separate sharpen",
     "_draws": "draws",
     "_effect": "Clock Command Effect Floor Force Grip Layout Linkage Memory Motion Rolling Sensor Wheel",
     "_errors": "FitError InputError",
-    "_explain": "Diagnosis Explanation Stage diagnose explain",
+    "_explain": "Explanation explain",
     "_fit": "Fit fit",
     "_gait": "Gait Logged Sines Tracked",
     "_lanes": "simulate_many stacked",
@@ -138,6 +139,7 @@ _HOMES = {
     "_recording": "Case LogClock Noise Run",
     "_shapes": "Fourier Spline Sums spline",
     "_simulate": "Accuracy Trajectory motions simulate",
+    "_stage": "Stage",
     "_starter": "starter",
     "_starting": "starting_model",
     "_sweep": "Axes grid sweep table",

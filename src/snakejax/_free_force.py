@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 from scipy import linalg, optimize
 
 from ._batch import Batch
-from ._diagnose import Bench
+from ._bench import Bench
 from ._effect import Force, Grip, Motion, Wheel, Wrench
 from ._least_squares import Unknowns, domains_of, moved
 from ._math import slip_angle

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ._bench import NEARLY, Bench, Step
 from ._dependence import Shape, dependence
-from ._diagnose import NEARLY, Bench, Step
 from ._free_force import SPACING, Drive, Settled
 
 

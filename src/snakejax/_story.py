@@ -6,10 +6,10 @@ import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from ._diagnose import LATERAL_SKID, Ranked
+from ._bench import LATERAL_SKID
 from ._effect import Clock, Sensor
 from ._estimates import Estimate
-from ._explain import Explanation, Stage
+from ._explain import Explanation
 from ._json import (
     Json,
     clean,
@@ -23,8 +23,10 @@ from ._json import (
     skid_kind,
 )
 from ._missing import RunForce
+from ._rank import Ranked
 from ._recording import Case, Noise
 from ._score import ALPHA
+from ._stage import Stage
 from ._text import add_row, misfit_text, number, plain_table
 from ._units import parameters
 

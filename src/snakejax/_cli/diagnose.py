@@ -33,7 +33,7 @@ def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     """Diagnose one case."""
     from .. import plot
     from .._align import with_clocks
-    from .._explain import diagnose
+    from .._diagnose import diagnose
     from .._json import joint_logs_json, provenance_json, write_whole
     from .._starting import starting_model
     from .._story import diagnosis_json, diagnosis_text

@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
 
 def library(options: argparse.Namespace) -> dict[str, Any]:
     """The candidates: those built in less `--without`, and those of `--effect`. **Raises:** `InputError`."""
-    from .._diagnose import LATERAL_SKID
+    from .._bench import LATERAL_SKID
     from ..effects import LIBRARY
     from ._models import effect_class
 
@@ -61,7 +61,7 @@ def library(options: argparse.Namespace) -> dict[str, Any]:
 
 def wanted(options: argparse.Namespace) -> dict[str, Any]:
     """The options of `explain()` and `diagnose()`."""
-    from .._diagnose import LATERAL_SKID
+    from .._bench import LATERAL_SKID
 
     with_ = options.with_ or []
     return {
