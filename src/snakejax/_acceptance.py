@@ -16,6 +16,11 @@ TELLING = 0.05
 """An effect that lowers the excess of the misfit over noise by less than this share, short of noise, is no help."""
 
 
+def by_chance(freed: int) -> float:
+    """The fall of chi^2 that freeing `freed` parameters brings by chance, at a 25th of the level `ALPHA`."""
+    return float(stats.chi2.isf(ALPHA / 25, max(freed, 1)))
+
+
 def better(bench: Bench, now: Step, then: Step) -> bool:
     """Whether `then` predicts train runs it has not seen better than `now` does, and enough to matter.
 
@@ -26,7 +31,7 @@ def better(bench: Bench, now: Step, then: Step) -> bool:
     fall = samples * (now.optimum.misfit - then.optimum.misfit)
     variance = max(1.0, then.optimum.misfit)
     freed = len(then.optimum.free) - len(now.optimum.free)
-    if not np.isfinite(then.optimum.misfit) or fall / variance < stats.chi2.isf(ALPHA / 25, max(freed, 1)):
+    if not np.isfinite(then.optimum.misfit) or fall / variance < by_chance(freed):
         return False
     if not only_noise(then.optimum):
         excess = now.optimum.misfit - 1.0
@@ -43,7 +48,7 @@ def better(bench: Bench, now: Step, then: Step) -> bool:
 def better_structure(now: Step, then: Step) -> bool:
     """Whether a change of structure, which frees nothing, lowers the misfit by more than chance."""
     fall = then.optimum.samples * (now.optimum.misfit - then.optimum.misfit)
-    return bool(fall > stats.chi2.isf(ALPHA / 25, 1))
+    return bool(fall > by_chance(0))
 
 
 def left_out_score(bench: Bench, step: Step) -> float:

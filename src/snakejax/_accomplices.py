@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ._bench import WORKERS, Bench, Step, off_zero
+from ._bench import WORKERS, Bench, Step
 from ._prospects import Prospect, sight
 from ._score import Scored
 from ._sight import tested
@@ -58,7 +58,7 @@ def _grown(bench: Bench, suspects: Suspects, known: set[frozenset[str]]) -> list
     new = [s for s in scores if frozenset((*suspects.effects, s.effect)) not in known][:BEAM]
 
     def settle(s: Scored) -> Suspects:
-        begin = {**settled.values, **{n: off_zero(bench, n, settled.values[n]) for n in s.values}}
+        begin = {**settled.values, **{n: bench.off_zero(n, settled.values[n]) for n in s.values}}
         best = bench.windows.settle(begin, [*free, *remaining[s.effect]], settled.start, rounds=25)
         return Suspects((*suspects.effects, s.effect), best.values, best.cost / dof, best.start)
 

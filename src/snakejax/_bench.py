@@ -81,6 +81,10 @@ class Bench(eqx.Module):
             found |= {part: probe[part.rsplit(".", 1)[-1]] for part in parts if part.rsplit(".", 1)[-1] in probe}
         return found
 
+    def off_zero(self, name: str, value: float) -> float:
+        """A parameter without a derivative at zero must start beside it."""
+        return self.probes().get(name, value) if value == 0.0 else value
+
 
 class Step(NamedTuple):
     """The state of an explanation: which effects are in, and the fit with them."""
@@ -95,8 +99,3 @@ def structures(case: Case, kind: str, skid: str | None) -> list[tuple[str, Model
     if isinstance(model.skid, Coupled):
         return [("", model), (LATERAL_SKID, Model(model.board, model.tyre, "free", model.effects))]
     return [("", model)]
-
-
-def off_zero(bench: Bench, name: str, value: float) -> float:
-    """A parameter without a derivative at zero must start beside it."""
-    return bench.probes().get(name, value) if value == 0.0 else value

@@ -3,16 +3,14 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import stats
 
-from ._acceptance import better, certain
+from ._acceptance import better, by_chance, certain
 from ._accomplices import accomplices
 from ._approach import least
 from ._bench import CLOSE, HOPELESS, NEARLY, Bench, Step
 from ._misfit import only_noise
 from ._rank import Ranked, ends_in_noise, promising, rank, significant
 from ._refit import fresh_fit, refit
-from ._score import ALPHA
 from ._stage import Stage, stage
 from ._study import Optimum
 
@@ -49,7 +47,7 @@ def follow(bench, step, ranking, before, progress, show) -> list[Stage]:
         without = Step(rest, _settled_without(bench, step, rest))
         lost = step.optimum.samples * (without.optimum.misfit - step.optimum.misfit)
         freed = len(step.optimum.free) - len(without.optimum.free)
-        if lost / max(1.0, step.optimum.misfit) < stats.chi2.isf(ALPHA / 25, max(freed, 1)):
+        if lost / max(1.0, step.optimum.misfit) < by_chance(freed):
             step = without
             stages.append(stage(bench, "dropped", name, step))
             show(stages[-1])

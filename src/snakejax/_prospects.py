@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from ._bench import CLOSE, NEARLY, WORKERS, Bench, Step, off_zero
+from ._bench import CLOSE, NEARLY, WORKERS, Bench, Step
 from ._score import ALPHA, Scored
 from ._sight import Sight, tested
 from ._study import DEPENDENT
@@ -75,7 +75,7 @@ def _settle_all(bench, found, remaining, fitted, values, start, misfit, dof, pro
     def beside(prospect: Prospect) -> dict[str, float]:
         # From where the others have settled, so that all move together; only what has no slope at zero starts off it.
         parts = remaining[prospect.score.effect]
-        return {n: off_zero(bench, n, values[n]) if n in parts else values[n] for n in prospect.values}
+        return {n: bench.off_zero(n, values[n]) if n in parts else values[n] for n in prospect.values}
 
     def settle(prospect: Prospect) -> Prospect:
         parts = remaining[prospect.score.effect]

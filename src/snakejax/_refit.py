@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from ._approach import approach, least, require_sensitive, require_sound
-from ._bench import CLOSE, HOPELESS, WORKERS, Bench, off_zero
+from ._bench import CLOSE, HOPELESS, WORKERS, Bench
 from ._misfit import only_noise
 from ._study import Optimum
 
@@ -34,7 +34,7 @@ def fresh_fit(
     progress("fitting windows")
     began = {name: study.values()[name] for name in bench.tyre}
     weaker = {name: value * WEAKER for name, value in began.items() if name in ("tyre.D", "tyre.k_s")}
-    values = {name: off_zero(bench, name, value) if name in free else value for name, value in values.items()} | began
+    values = {name: bench.off_zero(name, value) if name in free else value for name, value in values.items()} | began
     with ThreadPoolExecutor(WORKERS) as pool:
         settled = pool.map(lambda start: bench.windows.settle(start, free), (values, values | weaker))
         best = min(settled, key=lambda s: s.cost)
@@ -63,7 +63,7 @@ def refit(
     free, train = bench.free(effects), bench.train
     neutral = bench.study.values()
     known = {name: (values[name] if name in free else neutral[name]) for name in bench.study.names}
-    known = {name: off_zero(bench, name, value) if name in free else value for name, value in known.items()}
+    known = {name: bench.off_zero(name, value) if name in free else value for name, value in known.items()}
     if near:
         found = bench.study.fit(known, free, train, start, crawl=CRAWL, most=30)
         if found.misfit < HOPELESS:
