@@ -19,10 +19,10 @@ ORDER = [
     "_case", "_presets", "_check", "_template", "_understand", "_import", "_pieces", "_cluster", "_sweep", "_rayleigh",
     "_windows", "_starting", "_misfit", "_estimates", "_approach", "_fit", "_profile", "_align", "_replay", "_scenes",
     "_grip", "_compare", "_score", "_sight", "_bench", "_refit", "_prospects", "_accomplices", "_rank", "_free_force",
-    "_dependence", "_missing", "_starter", "_acceptance", "_stage", "_diagnose", "_follow", "_explain", "_shapes",
-    "_limits", "_torque", "_objective", "_ran", "_draws", "_descend", "_task", "_tune", "_apart", "_bed",
-    "_discriminate", "_json", "_text", "_story", "_tuned", "_palette", "_played", "plot", "report", "_cli", "__main__",
-    "__init__",
+    "_driven", "_process", "_drive", "_dependence", "_missing", "_starter", "_acceptance", "_stage", "_diagnose",
+    "_follow", "_explain", "_shapes", "_limits", "_torque", "_objective", "_ran", "_draws", "_descend", "_task",
+    "_tune", "_apart", "_bed", "_discriminate", "_json", "_text", "_story", "_tuned", "_palette", "_played", "plot",
+    "report", "_cli", "__main__", "__init__",
 ]
 # fmt: on
 CORE = ORDER[: ORDER.index("effects")]

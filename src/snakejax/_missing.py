@@ -7,7 +7,8 @@ import numpy as np
 
 from ._bench import NEARLY, Bench, Step
 from ._dependence import Shape, dependence
-from ._free_force import SPACING, Drive, Settled
+from ._drive import Drive, Settled
+from ._free_force import SPACING
 
 
 class RunForce(NamedTuple):
