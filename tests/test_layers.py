@@ -21,8 +21,8 @@ ORDER = [
     "_grip", "_compare", "_score", "_sight", "_bench", "_refit", "_prospects", "_accomplices", "_rank", "_free_force",
     "_driven", "_process", "_drive", "_dependence", "_missing", "_starter", "_acceptance", "_stage", "_diagnose",
     "_follow", "_explain", "_shapes", "_limits", "_torque", "_objective", "_ran", "_draws", "_descend", "_task",
-    "_tune", "_apart", "_bed", "_discriminate", "_json", "_text", "_story", "_tuned", "_palette", "_played", "plot",
-    "report", "_cli", "__main__", "__init__",
+    "_tune", "_apart", "_bed", "_discriminate", "_files", "_json", "_provenance", "_results", "_saved", "_text",
+    "_story", "_tuned", "_palette", "_played", "plot", "report", "_cli", "__main__", "__init__",
 ]
 # fmt: on
 CORE = ORDER[: ORDER.index("effects")]

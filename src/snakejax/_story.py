@@ -10,19 +10,9 @@ from ._bench import LATERAL_SKID
 from ._effect import Clock, Sensor
 from ._estimates import Estimate
 from ._explain import Explanation
-from ._json import (
-    Json,
-    clean,
-    estimate_json,
-    heading_json,
-    misfit_json,
-    model_kind,
-    parameters_json,
-    rmse_json,
-    runs_json,
-    skid_kind,
-)
+from ._json import Json, clean, estimate_json, misfit_json, parameters_json, rmse_json, runs_json
 from ._missing import RunForce
+from ._provenance import heading_json, model_kind, skid_kind
 from ._rank import Ranked
 from ._recording import Case, Noise
 from ._score import ALPHA

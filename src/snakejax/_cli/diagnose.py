@@ -34,7 +34,9 @@ def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     from .. import plot
     from .._align import with_clocks
     from .._diagnose import diagnose
-    from .._json import joint_logs_json, provenance_json, write_whole
+    from .._files import write_whole
+    from .._provenance import provenance_json
+    from .._results import joint_logs_json
     from .._starting import starting_model
     from .._story import diagnosis_json, diagnosis_text
     from ..quality import noise_of

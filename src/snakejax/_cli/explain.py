@@ -77,8 +77,10 @@ def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     from .. import plot
     from .._align import with_clocks
     from .._explain import explain
-    from .._json import joint_logs_json, provenance_json, write_whole
+    from .._files import write_whole
     from .._played import played_stages
+    from .._provenance import provenance_json
+    from .._results import joint_logs_json
     from .._starter import starter
     from .._starting import starting_model
     from .._story import explanation_json, explanation_text

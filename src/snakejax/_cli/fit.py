@@ -42,8 +42,9 @@ def run(options: argparse.Namespace) -> int:
 
 def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     """Fit one case."""
-    from .._json import fit_json, provenance_json
     from .._profile import profile
+    from .._provenance import provenance_json
+    from .._results import fit_json
     from .._text import fit_report
 
     clock = Clock()
@@ -102,7 +103,7 @@ def report_fit(
 ) -> None:
     """Write the report, the figures and the films of a fit into `folder`."""
     from .. import plot
-    from .._json import write_whole
+    from .._files import write_whole
     from .._played import played_fit
     from ..report import fit_page
 

@@ -46,19 +46,10 @@ def work(options: argparse.Namespace, subject: Any, say: Say) -> Outcome:
     """Simulate one case or preset."""
     import numpy as np
 
-    from .._json import (
-        all_parameters_json,
-        clean,
-        effects_json,
-        heading_json,
-        misfit_json,
-        parameters_json,
-        provenance_json,
-        rmse_json,
-        run_json,
-        write_whole,
-    )
+    from .._files import write_whole
+    from .._json import all_parameters_json, clean, effects_json, misfit_json, parameters_json, rmse_json, run_json
     from .._presets import Preset
+    from .._provenance import heading_json, provenance_json
     from .._replay import replay
 
     clock = Clock()

@@ -126,9 +126,11 @@ def work(
 
         return design(options, subject, seconds, limit, start, say)
     from .._errors import FitError
-    from .._json import clean, heading_json, provenance_json, write_whole
+    from .._files import write_whole
+    from .._json import clean
     from .._limits import Limits, reached_by
     from .._presets import Preset
+    from .._provenance import heading_json, provenance_json
     from .._ran import Driver
     from .._tune import tune
     from .._tuned import report, toml, tuned_json
