@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ._recording import CHANNELS
 from ._study import Optimum, Study
 
 NOISE_SIGMAS = 4.0
@@ -42,9 +43,7 @@ def run_scores(study: Study, optimum: Optimum, runs: Sequence[int]) -> tuple[Run
         seen = w > 0
         error = np.where(seen, r / np.where(seen, w, 1.0), 0.0)
         frames = max(int(seen[:, 0].sum()), 1)
-        channels = {
-            name: float((r[:, c] ** 2).sum() / max(seen[:, c].sum(), 1)) for c, name in enumerate(("x", "y", "heading"))
-        }
+        channels = {name: float((r[:, c] ** 2).sum() / max(seen[:, c].sum(), 1)) for c, name in enumerate(CHANNELS)}
         scores.append(
             RunScore(
                 study.runs[k].name,

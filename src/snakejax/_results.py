@@ -18,7 +18,7 @@ from ._json import (
     short,
 )
 from ._provenance import heading_json
-from ._recording import Case, Noise, Run
+from ._recording import CHANNELS, UNITS, Case, Noise, Run
 from .quality import Inspection
 
 
@@ -117,7 +117,7 @@ def comparison_json(failing: Comparison, sides: Sequence[Side] = ()) -> Json:
                 "channel": m.channel,
                 "residual_sd": m.deviations,
                 "residual": m.size,
-                "unit": channel_unit(m.channel),
+                "unit": UNITS[CHANNELS.index(m.channel)],
             }
             for m in failing.worst
         ],
@@ -135,8 +135,3 @@ def comparison_json(failing: Comparison, sides: Sequence[Side] = ()) -> Json:
             for side in sides
         ],
     }
-
-
-def channel_unit(channel: str) -> str:
-    """The unit of x, y or heading."""
-    return "rad" if channel == "heading" else "m"

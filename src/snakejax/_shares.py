@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ._recording import CHANNELS
 from ._scenes import Track
-from ._stretches import CHANNELS
 
 RATES = ("forward_rate", "sideways_rate", "heading_rate")
 KNOTS = 6

@@ -5,9 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ._recording import CHANNELS
 from ._scenes import Track
-
-CHANNELS = ("x", "y", "heading")
 
 
 class Stretch(NamedTuple):

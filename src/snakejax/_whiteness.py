@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
+from ._recording import CHANNELS
 from ._scenes import Track
-from ._stretches import CHANNELS
 
 LAGS = 20
 
