@@ -35,10 +35,12 @@ import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
 from snakejax import Case, explain  # noqa: E402
-from snakejax._diagnose import Bench, Step, prospects, refit, sight  # noqa: E402
-from snakejax._fit import starting_model  # noqa: E402
+from snakejax._bench import Bench, Step  # noqa: E402
+from snakejax._prospects import prospects, sight  # noqa: E402
+from snakejax._refit import refit  # noqa: E402
 from snakejax._score import ALPHA, Scored, confusable  # noqa: E402
 from snakejax._sight import Sight, tested  # noqa: E402
+from snakejax._starting import starting_model  # noqa: E402
 from snakejax._units import parameters  # noqa: E402
 from snakejax.effects import LIBRARY  # noqa: E402
 

@@ -31,11 +31,13 @@ prepare_jax()
 
 from snakejax._board import TABLE_II, Board  # noqa: E402
 from snakejax._case import load_case  # noqa: E402
-from snakejax._fit import estimated, fit, starting_model  # noqa: E402
+from snakejax._estimates import estimated  # noqa: E402
+from snakejax._fit import fit  # noqa: E402
 from snakejax._gait import Gait, Sines, Tracked  # noqa: E402
 from snakejax._model import Model  # noqa: E402
 from snakejax._recording import Noise, Run  # noqa: E402
 from snakejax._simulate import Accuracy, simulate  # noqa: E402
+from snakejax._starting import starting_model  # noqa: E402
 from snakejax._study import FIT_ACCURACY, Study  # noqa: E402
 from snakejax._tyre import Pacejka  # noqa: E402
 from snakejax._units import with_parameters  # noqa: E402

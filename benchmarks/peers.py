@@ -33,10 +33,12 @@ from scipy.signal import savgol_filter  # noqa: E402
 from sklearn.gaussian_process import GaussianProcessRegressor, kernels  # noqa: E402
 
 from snakejax import Accuracy, Force, Model, Motion, explain, load_case, noise_of  # noqa: E402
+from snakejax._bench import Bench, Step  # noqa: E402
 from snakejax._cli._setup import Clock, start_jax  # noqa: E402
-from snakejax._diagnose import Bench, Step, base_fit, refit  # noqa: E402
-from snakejax._fit import judged, starting_model  # noqa: E402
+from snakejax._fit import judged  # noqa: E402
 from snakejax._missing import missing_force  # noqa: E402
+from snakejax._refit import base_fit, refit  # noqa: E402
+from snakejax._starting import starting_model  # noqa: E402
 from snakejax._study import Study  # noqa: E402
 from snakejax._units import with_parameters  # noqa: E402
 from snakejax._windows import states  # noqa: E402

@@ -18,8 +18,11 @@ from snakejax import prepare_jax
 
 prepare_jax()
 
+from snakejax._approach import approach  # noqa: E402
 from snakejax._case import load_case  # noqa: E402
-from snakejax._fit import FitError, approach, fit, starting_model  # noqa: E402
+from snakejax._errors import FitError  # noqa: E402
+from snakejax._fit import fit  # noqa: E402
+from snakejax._starting import starting_model  # noqa: E402
 
 LEVEL = Path(__file__).resolve().parents[1] / "data" / "level-board"
 TYRE = ["tyre.B", "tyre.C", "tyre.D", "tyre.E"]

@@ -247,7 +247,7 @@ def two_cores(repeats: int) -> None:
 def cold(repeats: int) -> None:
     """`snakejax sweep` over 1024 boards in fresh processes; the first one, which compiles, is left out."""
     command = [sys.executable, "-m", "snakejax", "sweep", "paper-rotate", "--vary", "D=0.5:10:1024", "--quiet"]
-    mine = ("_cli.sweep", "_cli._models", "_cli._setup", "_rayleigh", "_cluster", "_presets", "_json", "_text", "_case")
+    mine = ("_cli.sweep", "_cli._models", "_cli._setup", "_rayleigh", "_cluster", "_presets", "_text", "_case")
     imports = "; ".join(f"import snakejax.{name}" for name in mine) + "; import xarray, rich.console, rich.progress"
     subprocess.run([*command, "--json", "-"], check=True, capture_output=True)
     found = []

@@ -16,8 +16,10 @@ import own_effect
 
 import snakejax as sj
 from snakejax import plot
-from snakejax._json import clean, provenance_json, write_whole
+from snakejax._files import write_whole
+from snakejax._json import clean
 from snakejax._played import played_stages
+from snakejax._provenance import provenance_json
 from snakejax._story import explanation_json
 from snakejax.report import explanation_page
 

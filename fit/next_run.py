@@ -21,7 +21,8 @@ import numpy as np  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
 from snakejax import plot  # noqa: E402
-from snakejax._json import as_text, write_whole  # noqa: E402
+from snakejax._files import write_whole  # noqa: E402
+from snakejax._json import as_text  # noqa: E402
 from snakejax._replay import replay  # noqa: E402
 from snakejax._study import Study  # noqa: E402
 from snakejax._units import with_parameters  # noqa: E402

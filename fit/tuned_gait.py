@@ -18,7 +18,8 @@ sj.prepare_jax()
 import numpy as np  # noqa: E402
 
 from snakejax import plot  # noqa: E402
-from snakejax._json import as_text, write_whole  # noqa: E402
+from snakejax._files import write_whole  # noqa: E402
+from snakejax._json import as_text  # noqa: E402
 from snakejax._tuned import tuned_json  # noqa: E402
 
 DATA = Path(__file__).resolve().parents[1] / "data"

@@ -24,8 +24,10 @@ import snakejax
 from snakejax._cli import main
 from snakejax._cli._interrupt import AGAIN, persistent_interrupt
 from snakejax._cli._main import parser, prepared
-from snakejax._fit import RunScore
-from snakejax._json import clean, saved_fit, write_whole
+from snakejax._files import write_whole
+from snakejax._json import clean
+from snakejax._misfit import RunScore
+from snakejax._saved import saved_fit
 from snakejax._text import runs_table
 from snakejax.effects import LIBRARY
 

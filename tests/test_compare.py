@@ -6,18 +6,13 @@ import pytest
 from scipy import stats
 
 from snakejax._case import load_case
-from snakejax._compare import (
-    compare,
-    explained,
-    portmanteau,
-    rate,
-    side_by_side,
-    stretches,
-    whiteness,
-    worst,
-)
-from snakejax._fit import fit, starting_model
+from snakejax._compare import compare, side_by_side
+from snakejax._fit import fit
 from snakejax._scenes import Track, gait_phase
+from snakejax._shares import explained, rate
+from snakejax._starting import starting_model
+from snakejax._stretches import stretches, worst
+from snakejax._whiteness import portmanteau, whiteness
 
 TIMES = np.arange(0.0, 12.0, 0.01)
 SD = np.array([0.0004, 0.0004, 0.0025])

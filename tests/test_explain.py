@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from snakejax import TABLE_II, Board, Case, Gait, Model, Noise, Pacejka, Run, Sines, diagnose, simulate
-from snakejax._fit import noise_band
+from snakejax._misfit import noise_band
 from snakejax._score import Reduced, confusable, score
 from snakejax.effects import ComOffset, GripSplit, GroundSlope, YawBias
 

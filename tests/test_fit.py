@@ -11,12 +11,15 @@ import pytest
 
 from snakejax._board import TABLE_II, Board
 from snakejax._case import load_case
-from snakejax._errors import InputError
-from snakejax._fit import FitError, chosen, described, estimated, fit, fit_study, profile, starting_model, with_values
+from snakejax._errors import FitError, InputError
+from snakejax._estimates import estimated
+from snakejax._fit import described, fit, fit_study
 from snakejax._gait import Gait, Sines, Tracked
 from snakejax._model import Model, no_traction
+from snakejax._profile import profile
 from snakejax._recording import Noise, Run
 from snakejax._simulate import Accuracy, simulate
+from snakejax._starting import chosen, starting_model, with_values
 from snakejax._study import Optimum, Study
 from snakejax._tyre import Pacejka, Rayleigh
 from snakejax.effects import LongitudinalSlip

@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from snakejax._bench import Bench, Step, structures
 from snakejax._board import TABLE_II, Board
 from snakejax._case import load_case
 from snakejax._cli._models import effect_class
 from snakejax._cli._options import effect_spec
 from snakejax._dependence import Shape
-from snakejax._diagnose import Bench, Step, structures
 from snakejax._effect import Force, Motion, Wrench
 from snakejax._free_force import FreeForce
 from snakejax._gait import Gait, Sines, Tracked

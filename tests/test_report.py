@@ -9,8 +9,9 @@ from browsing import Seen, check, numbers, written
 from small import NASTY, NASTY_RUN, small
 
 from snakejax import Case, Fit, Noise
-from snakejax._json import fit_json, provenance_json
 from snakejax._played import played_fit
+from snakejax._provenance import provenance_json
+from snakejax._results import fit_json
 from snakejax.report import fit_page, sweep_page, tune_page
 
 

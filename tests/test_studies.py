@@ -6,8 +6,8 @@ import pytest
 from browsing import Seen, check, written
 from conftest import study
 
-from snakejax._json import provenance_json
 from snakejax._played import played_stages
+from snakejax._provenance import provenance_json
 from snakejax._story import explanation_json
 from snakejax.report import explanation_page
 

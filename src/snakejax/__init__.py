@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from ._case import load_case as load_case
     from ._check import check as check
     from ._cluster import cluster as cluster
+    from ._diagnose import Diagnosis as Diagnosis
+    from ._diagnose import diagnose as diagnose
     from ._discriminate import Separation as Separation
     from ._discriminate import Sharpening as Sharpening
     from ._discriminate import separate as separate
@@ -36,17 +38,12 @@ if TYPE_CHECKING:
     from ._effect import Rolling as Rolling
     from ._effect import Sensor as Sensor
     from ._effect import Wheel as Wheel
+    from ._errors import FitError as FitError
     from ._errors import InputError as InputError
-    from ._explain import Diagnosis as Diagnosis
     from ._explain import Explanation as Explanation
-    from ._explain import Stage as Stage
-    from ._explain import diagnose as diagnose
     from ._explain import explain as explain
     from ._fit import Fit as Fit
-    from ._fit import FitError as FitError
     from ._fit import fit as fit
-    from ._fit import profile as profile
-    from ._fit import starting_model as starting_model
     from ._gait import Gait as Gait
     from ._gait import Logged as Logged
     from ._gait import Sines as Sines
@@ -66,6 +63,7 @@ if TYPE_CHECKING:
     from ._prepare import prepare_jax as prepare_jax
     from ._presets import Preset as Preset
     from ._presets import preset as preset
+    from ._profile import profile as profile
     from ._ran import Driver as Driver
     from ._rayleigh import Polynomial as Polynomial
     from ._rayleigh import nearest_rayleigh as nearest_rayleigh
@@ -82,7 +80,9 @@ if TYPE_CHECKING:
     from ._simulate import Trajectory as Trajectory
     from ._simulate import motions as motions
     from ._simulate import simulate as simulate
+    from ._stage import Stage as Stage
     from ._starter import starter as starter
+    from ._starting import starting_model as starting_model
     from ._sweep import Axes as Axes
     from ._sweep import grid as grid
     from ._sweep import sweep as sweep
@@ -118,12 +118,13 @@ _HOMES = {
     "_check": "check",
     "_cluster": "cluster",
     "_bed": "Bed bed most_confusable",
+    "_diagnose": "Diagnosis diagnose",
     "_discriminate": "Separation Sharpening separate sharpen",
     "_draws": "draws",
     "_effect": "Clock Command Effect Floor Force Grip Layout Linkage Memory Motion Rolling Sensor Wheel",
-    "_errors": "InputError",
-    "_explain": "Diagnosis Explanation Stage diagnose explain",
-    "_fit": "Fit FitError fit profile starting_model",
+    "_errors": "FitError InputError",
+    "_explain": "Explanation explain",
+    "_fit": "Fit fit",
     "_gait": "Gait Logged Sines Tracked",
     "_lanes": "simulate_many stacked",
     "_limits": "Limits",
@@ -132,12 +133,15 @@ _HOMES = {
     "_objective": "Distance Effort Objective Own Ran Reach Turn",
     "_prepare": "prepare_jax",
     "_presets": "Preset preset",
+    "_profile": "profile",
     "_ran": "Driver",
     "_rayleigh": "Polynomial nearest_rayleigh polynomial",
     "_recording": "Case LogClock Noise Run",
     "_shapes": "Fourier Spline Sums spline",
     "_simulate": "Accuracy Trajectory motions simulate",
+    "_stage": "Stage",
     "_starter": "starter",
+    "_starting": "starting_model",
     "_sweep": "Axes grid sweep table",
     "_torque": "effort torques",
     "_tune": "Tuned joint_log tune",

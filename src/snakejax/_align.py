@@ -16,7 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ._fit import Fit, described, fit, require_sound, spread
+from ._approach import require_sound
+from ._estimates import spread
+from ._fit import Fit, described, fit
 from ._gait import on_clock
 from ._least_squares import starts_removed
 from ._log_noise import is_noisy, replayed

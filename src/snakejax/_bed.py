@@ -9,8 +9,8 @@ from scipy import stats
 
 from ._apart import UNSURE, Pair, both_gaps, strength, without_tyre
 from ._effect import Effect
-from ._errors import InputError, instead_of
-from ._fit import Fit, FitError
+from ._errors import FitError, InputError, instead_of
+from ._fit import Fit
 from ._least_squares import domains_of, starts_removed
 from ._model import Model
 from ._score import ALPHA, POWER

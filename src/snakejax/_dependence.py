@@ -9,7 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ._free_force import SPACING, Drive, Settled, Track
+from ._drive import Drive, Settled
+from ._driven import Track
+from ._free_force import SPACING
 
 NOTHING = 0.02
 """A variable that explains less than this share explains nothing worth drawing."""

@@ -19,7 +19,7 @@ from ._apart import (
     strength,
 )
 from ._bed import Bed
-from ._fit import FitError
+from ._errors import FitError
 from ._gait import Gait
 from ._limits import Limits, told
 from ._model import Model

@@ -5,7 +5,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy import stats
 
-from ._fit import Fit, spread
+from ._estimates import spread
+from ._fit import Fit
 from ._least_squares import domains_of
 from ._model import Model
 from ._units import with_parameters

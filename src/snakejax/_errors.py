@@ -1,4 +1,4 @@
-"""The one sentence form for every complaint about a user's input."""
+"""What can go wrong: the one sentence form for every complaint about a user's input, and fits that cannot succeed."""
 
 import difflib
 from collections.abc import Iterable
@@ -18,6 +18,10 @@ class InputError(ValueError):
         # A damaged file may hold what a terminal would obey.
         line = " ".join(f"{self.what}, {self.where}: {self.remedy}".split())
         return "".join(sign if sign.isprintable() else "?" for sign in line)
+
+
+class FitError(RuntimeError):
+    """A fit that cannot succeed: which parameter or run, and why. One line."""
 
 
 def at_line(path: object, line: int) -> str:

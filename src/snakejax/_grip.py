@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ._effect import Grip, Motion, Sensor, Wheel
-from ._fit import spread
+from ._estimates import spread
 from ._least_squares import domains_of
 from ._model import Model
 from ._scenes import Scene

@@ -5,9 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ._bench import NEARLY, Bench, Step
 from ._dependence import Shape, dependence
-from ._diagnose import NEARLY, Bench, Step
-from ._free_force import SPACING, Drive, Settled
+from ._drive import Drive, Settled
+from ._free_force import SPACING
 
 
 class RunForce(NamedTuple):

@@ -6,13 +6,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ._explain import Explanation, Stage
+from ._explain import Explanation
 from ._fit import Fit
 from ._grip import Traction, traction
 from ._model import Model
 from ._palette import Look, look
 from ._recording import Run
 from ._scenes import Scene, scenes, scenes_of, simulated
+from ._stage import Stage
 
 
 class Played(NamedTuple):

@@ -14,6 +14,7 @@ from ._gait import Gait
 from ._lanes import ACCURACY, simulate_many
 from ._model import Model
 from ._pieces import Columns
+from ._recording import CHANNELS
 from ._skid import Ideal
 from ._sweep import Axes, How, boards, coordinates, found_of, possible
 from ._tyre import Rayleigh
@@ -103,7 +104,7 @@ def _nearest(model: Model, gait: Gait, times: np.ndarray, start: Sequence[float]
     inside = (best > COARSE[0]) & (best < COARSE[-1])
     with np.errstate(invalid="ignore"):
         fits = inside & (mismatch < FOLLOWS)
-    end = {name: pose[:, -1, k] for k, name in enumerate(("x", "y", "heading"))}
+    end = {name: pose[:, -1, k] for k, name in enumerate(CHANNELS)}
     return {"k_s": np.where(fits, best, np.nan), "best": best, "mismatch": mismatch, "path": length, **end}
 
 

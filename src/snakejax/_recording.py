@@ -11,6 +11,11 @@ from ._board import Board
 from ._gait import Gait
 from ._units import Scalar
 
+CHANNELS = ("x", "y", "heading")
+"""What a pose holds, in the order of its columns."""
+UNITS = ("m", "m", "rad")
+"""Their units."""
+
 
 class LogClock(NamedTuple):
     """How the clock of a run's joint log goes: it shows t (1 + `drift`) + `offset` [s] at the cameras' time t.

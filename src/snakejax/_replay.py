@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ._batch import Batch, batch
-from ._errors import InputError
-from ._fit import Fit, FitError
+from ._errors import FitError, InputError
+from ._fit import Fit
 from ._model import Model
 from ._recording import Noise, Run
 from ._simulate import Accuracy, simulate

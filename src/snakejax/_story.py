@@ -6,25 +6,17 @@ import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from ._diagnose import LATERAL_SKID, Ranked
+from ._bench import LATERAL_SKID
 from ._effect import Clock, Sensor
-from ._explain import Explanation, Stage
-from ._fit import Estimate
-from ._json import (
-    Json,
-    clean,
-    estimate_json,
-    heading_json,
-    misfit_json,
-    model_kind,
-    parameters_json,
-    rmse_json,
-    runs_json,
-    skid_kind,
-)
+from ._estimates import Estimate
+from ._explain import Explanation
+from ._json import Json, clean, estimate_json, misfit_json, parameters_json, rmse_json, runs_json
 from ._missing import RunForce
+from ._provenance import heading_json, model_kind, skid_kind
+from ._rank import Ranked
 from ._recording import Case, Noise
 from ._score import ALPHA
+from ._stage import Stage
 from ._text import add_row, misfit_text, number, plain_table
 from ._units import parameters
 

@@ -10,9 +10,12 @@ from rich.table import Table
 from rich.text import Text
 
 from ._compare import Comparison, Side
-from ._fit import Estimate, Fit, RunScore, Score
-from ._json import model_kind, short, skid_kind
+from ._estimates import Estimate
+from ._fit import Fit
+from ._json import short
+from ._misfit import RunScore, Score
 from ._model import Model
+from ._provenance import model_kind, skid_kind
 from ._recording import Case, Noise, Run
 from ._skid import Ideal
 from ._units import parameters

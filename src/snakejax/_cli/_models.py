@@ -8,11 +8,11 @@ from typing import NamedTuple
 from .._board import Board
 from .._effect import Effect
 from .._errors import InputError, instead_of
-from .._fit import chosen, default_free, starting_tyre
-from .._json import SavedFit, saved_fit
 from .._model import Model
 from .._presets import Preset
 from .._recording import Case
+from .._saved import SavedFit, saved_fit
+from .._starting import chosen, default_free, starting_tyre
 from .._tyre import AbstractTyre
 from .._units import own_parameters, parameters, with_parameters
 from ..effects import LIBRARY

@@ -83,7 +83,7 @@ class Clock:
         self.start, self.compiled = time.perf_counter(), _Compiling.total
 
     def seconds(self) -> dict[str, float]:
-        from .._json import seconds_json
+        from .._provenance import seconds_json
 
         return seconds_json(time.perf_counter() - self.start, _Compiling.total - self.compiled)
 
@@ -166,8 +166,8 @@ def each_case(
 
     start_jax()
     from .._cluster import ClusterError
-    from .._fit import FitError
-    from .._json import require_writable
+    from .._errors import FitError
+    from .._files import require_writable
 
     status, cases = DONE, {}
     for path, case in read_cases(options.cases, presets, options):
@@ -219,7 +219,7 @@ def _inspected(options: argparse.Namespace, case: Any, say: Say) -> tuple[Any, d
 
     if not isinstance(case, Case) or not hasattr(options, "as_recorded"):
         return case, {}, say
-    from .._json import quality_json
+    from .._results import quality_json
     from .._text import quality_report
     from ..quality import inspected
 
@@ -242,7 +242,8 @@ def _inspected(options: argparse.Namespace, case: Any, say: Say) -> tuple[Any, d
 def _deliver(
     options: argparse.Namespace, name: str, found: Outcome, wanted: Mapping[str, Path | None], apart: bool
 ) -> None:
-    from .._json import as_text, write_whole
+    from .._files import write_whole
+    from .._json import as_text
 
     if name in wanted and (path := wanted[name]) is not None:
         write_whole(path, as_text(found.json))

@@ -33,7 +33,8 @@ def run(options: argparse.Namespace) -> int:
         from rich.text import Text
 
         from .._check import check, check_text, holding
-        from .._json import SCHEMA, quality_json
+        from .._provenance import SCHEMA
+        from .._results import quality_json
         from ..quality import inspected
 
         say("checking")

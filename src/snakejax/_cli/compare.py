@@ -45,7 +45,9 @@ def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     from rich.console import Group
 
     from .._compare import compare, side_by_side
-    from .._json import clean, comparison_json, fit_json, provenance_json
+    from .._json import clean
+    from .._provenance import provenance_json
+    from .._results import comparison_json, fit_json
     from .._text import compare_report, fit_report
 
     clock = Clock()

@@ -33,9 +33,11 @@ def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     """Diagnose one case."""
     from .. import plot
     from .._align import with_clocks
-    from .._explain import diagnose
-    from .._fit import starting_model
-    from .._json import joint_logs_json, provenance_json, write_whole
+    from .._diagnose import diagnose
+    from .._files import write_whole
+    from .._provenance import provenance_json
+    from .._results import joint_logs_json
+    from .._starting import starting_model
     from .._story import diagnosis_json, diagnosis_text
     from ..quality import noise_of
     from ..report import diagnosis_page

@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
 
 def library(options: argparse.Namespace) -> dict[str, Any]:
     """The candidates: those built in less `--without`, and those of `--effect`. **Raises:** `InputError`."""
-    from .._diagnose import LATERAL_SKID
+    from .._bench import LATERAL_SKID
     from ..effects import LIBRARY
     from ._models import effect_class
 
@@ -61,7 +61,7 @@ def library(options: argparse.Namespace) -> dict[str, Any]:
 
 def wanted(options: argparse.Namespace) -> dict[str, Any]:
     """The options of `explain()` and `diagnose()`."""
-    from .._diagnose import LATERAL_SKID
+    from .._bench import LATERAL_SKID
 
     with_ = options.with_ or []
     return {
@@ -77,10 +77,12 @@ def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     from .. import plot
     from .._align import with_clocks
     from .._explain import explain
-    from .._fit import starting_model
-    from .._json import joint_logs_json, provenance_json, write_whole
+    from .._files import write_whole
     from .._played import played_stages
+    from .._provenance import provenance_json
+    from .._results import joint_logs_json
     from .._starter import starter
+    from .._starting import starting_model
     from .._story import explanation_json, explanation_text
     from ..quality import noise_of
     from ..report import explanation_page

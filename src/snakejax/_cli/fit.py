@@ -42,8 +42,9 @@ def run(options: argparse.Namespace) -> int:
 
 def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     """Fit one case."""
-    from .._fit import profile
-    from .._json import fit_json, provenance_json
+    from .._profile import profile
+    from .._provenance import provenance_json
+    from .._results import fit_json
     from .._text import fit_report
 
     clock = Clock()
@@ -76,7 +77,7 @@ def fitted(options: argparse.Namespace, case: "Case", say: Say) -> "tuple[Fit, N
 
 def profiled(options: argparse.Namespace, found: "Fit") -> list[str]:
     """The parameters whose profile is wanted. **Raises:** `InputError` for one that was not estimated."""
-    from .._fit import chosen
+    from .._starting import chosen
 
     patterns = names(options.profile) or []
     loose = found.optimum.loose
@@ -102,7 +103,7 @@ def report_fit(
 ) -> None:
     """Write the report, the figures and the films of a fit into `folder`."""
     from .. import plot
-    from .._json import write_whole
+    from .._files import write_whole
     from .._played import played_fit
     from ..report import fit_page
 

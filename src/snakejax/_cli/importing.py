@@ -82,7 +82,8 @@ def run(options: argparse.Namespace) -> int:
             say(f"reading {path}", done, len(options.files))
             captures.append(read_capture(path, hints))
     if options.json is not None:
-        from .._json import as_text, write_whole
+        from .._files import write_whole
+        from .._json import as_text
 
         found = as_text({str(path): facts(c) for path, c in zip(options.files, captures, strict=True)})
         sys.stdout.write(found) if options.json == "-" else write_whole(Path(options.json), found)

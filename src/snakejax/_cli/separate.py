@@ -40,10 +40,12 @@ def work(
     """Design the next run of one case."""
     from .._bed import bed, most_confusable
     from .._discriminate import separate, sharpen
-    from .._fit import FitError
-    from .._json import clean, heading_json, provenance_json, write_whole
+    from .._errors import FitError
+    from .._files import write_whole
+    from .._json import clean
     from .._limits import Limits, reached_by
     from .._presets import Preset
+    from .._provenance import heading_json, provenance_json
     from .._ran import Driver
     from .._tuned import (
         design_json,

@@ -46,19 +46,10 @@ def work(options: argparse.Namespace, subject: Any, say: Say) -> Outcome:
     """Simulate one case or preset."""
     import numpy as np
 
-    from .._json import (
-        all_parameters_json,
-        clean,
-        effects_json,
-        heading_json,
-        misfit_json,
-        parameters_json,
-        provenance_json,
-        rmse_json,
-        run_json,
-        write_whole,
-    )
+    from .._files import write_whole
+    from .._json import all_parameters_json, clean, effects_json, misfit_json, parameters_json, rmse_json, run_json
     from .._presets import Preset
+    from .._provenance import heading_json, provenance_json
     from .._replay import replay
 
     clock = Clock()
@@ -121,7 +112,7 @@ def _of_preset(options: argparse.Namespace, subject: Any) -> tuple:
 
 
 def _of_case(options: argparse.Namespace, case: Any, say: Say) -> tuple:
-    from .._fit import run_scores
+    from .._misfit import run_scores
     from .._replay import fitted_starts, starts_of
     from .._study import Study
     from ..quality import noise_of
@@ -147,7 +138,7 @@ def _of_case(options: argparse.Namespace, case: Any, say: Say) -> tuple:
 
 
 def _pooled(scores: Sequence[Any]) -> Any:
-    from .._fit import pooled
+    from .._misfit import pooled
 
     return pooled(scores) if scores else None
 

@@ -99,10 +99,12 @@ def work(
     import numpy as np
 
     from .._cluster import cluster
-    from .._fit import FitError
-    from .._json import clean, heading_json, provenance_json, write_whole
+    from .._errors import FitError
+    from .._files import write_whole
+    from .._json import clean
     from .._pieces import local
     from .._presets import Preset
+    from .._provenance import heading_json, provenance_json
     from .._rayleigh import nearest_rayleigh, polynomial
     from .._skid import Ideal
     from .._sweep import grid, sweep, table

@@ -125,10 +125,12 @@ def work(
         from .separate import work as design
 
         return design(options, subject, seconds, limit, start, say)
-    from .._fit import FitError
-    from .._json import clean, heading_json, provenance_json, write_whole
+    from .._errors import FitError
+    from .._files import write_whole
+    from .._json import clean
     from .._limits import Limits, reached_by
     from .._presets import Preset
+    from .._provenance import heading_json, provenance_json
     from .._ran import Driver
     from .._tune import tune
     from .._tuned import report, toml, tuned_json

@@ -3,8 +3,8 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from .._explain import Stage
 from .._palette import TRAIN, look
+from .._stage import Stage
 
 SMALLEST = 1e-300
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import matplotlib
 from matplotlib.figure import Figure
 
-from .._json import write_whole
+from .._files import write_whole
 
 DPI = 150
 

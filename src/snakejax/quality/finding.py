@@ -10,9 +10,6 @@ from .._recording import Run
 Severity = Literal["note", "doubtful", "refused"]
 Action = Literal["mask", "turn", "none"]
 
-CHANNELS = ("x", "y", "heading")
-UNITS = ("m", "m", "rad")
-
 
 class Track(NamedTuple):
     """What cameras saw of one run: `times` [s] (n,), `pose` (n, 3) of x [m], y [m] and unwrapped heading [rad], NaN

@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from .._recording import CHANNELS, UNITS
 from .clock import steady
-from .finding import CHANNELS, UNITS, Finding, Track, finding
+from .finding import Finding, Track, finding
 from .kinematics import BLOCK, bend, scale
 
 FASTEST = 30.0

@@ -6,11 +6,12 @@ Each function returns the page as text. It needs no network and no other file.
 from collections.abc import Sequence
 
 from .._case import Case
-from .._explain import Explanation, Stage
+from .._explain import Explanation
 from .._fit import Fit
 from .._json import Json
 from .._played import Played, played_stage
 from .._recording import Noise
+from .._stage import Stage
 from .._story import headline, sentence
 from .._text import misfit_text, noise_line
 from . import _figures as figures

@@ -5,12 +5,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from .._compare import stretches
 from .._json import Json
 from .._missing import Missing
 from .._palette import BASE, FORCES, HELDOUT, MEASURED, TRAIN, Look, look
 from .._played import Played
 from .._scenes import Scene
+from .._stretches import stretches
 from ._chart import EQUAL, Chart, Trace, axes, band, bars, line, plain, points, text, thinned
 
 PHASE_BINS = 24
