@@ -19,7 +19,7 @@ from snakejax._story import ranked_json, unexplained_json
 from snakejax._units import parameters
 from snakejax.effects import LIBRARY
 
-MISFITS = (("base", "base", 4.2e4, 1.3e5), ("added", "ground_slope", 312.0, 417.0), ("added", "rotor_gain", 7.04, 9.5))
+MISFITS = (("base", "", 4.2e4, 1.3e5), ("added", "ground_slope", 312.0, 417.0), ("added", "rotor_gain", 7.04, 9.5))
 CANDIDATES = (
     ("lateral_skid", None, None, 312.0, ()),
     ("ground_slope", 1e-310, 5.4, 340.0, ()),
