@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 
 LARGEST = 6e6
+SCALE_IS_CLEAR = """() => [...document.querySelectorAll("#stage > g > g")].every(board =>
+  board.getBoundingClientRect().bottom <= document.querySelector("#stage text").getBoundingClientRect().top + 1)"""
 
 
 class Seen:
@@ -121,6 +123,7 @@ def check(seen: Seen) -> None:
         for option in page.query_selector_all(f"{select} option"):
             page.select_option(select, option.get_attribute("value") or option.text_content())
             assert "NaN" not in page.inner_html("#stage")
+            assert page.evaluate(SCALE_IS_CLEAR)
     # Dark, and narrow.
     ink = (
         "() => getComputedStyle(document.querySelector('#chart-falling .xtick text, #chart-falling .ytick text')).fill"

@@ -9,6 +9,8 @@ import shutil
 import subprocess
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -18,11 +20,15 @@ from matplotlib.figure import Figure
 from matplotlib.testing.compare import compare_images
 from PIL import Image
 from small import small
+from story import models, story
 
 from snakejax import InputError, plot, polynomial
+from snakejax._explain import Explanation
+from snakejax._missing import Missing
 from snakejax._palette import BASE, COLOURS, DASHES, MEASURED, look
 from snakejax._played import Played, played_fit, played_model
 from snakejax._replay import fitted_starts, replay
+from snakejax._stage import Stage
 from snakejax.effects import LIBRARY
 from snakejax.plot._paths import titled
 
@@ -51,6 +57,11 @@ FIGURES = {
     "tyre": lambda m: plot.tyre([m]),
     "board": lambda m: plot.board(m, small()[0].board, time=2.0),
     "sweep": lambda m: plot.sweep(swept(), polynomial(swept().D.values, swept().k_s.values), "made"),
+    "ranking": lambda m: plot.ranking(story().base),
+    "confusability": lambda m: plot.confusability(story().base),
+    "waterfall": lambda m: plot.waterfall(story()),
+    "fall": lambda m: plot.fall(story(), models()),
+    "missing": lambda m: plot.missing(story()),
 }
 
 
@@ -69,12 +80,35 @@ def test_a_figure_is_as_it_was_looked_at(name, model, tmp_path) -> None:
     assert compare_images(str(kept), str(drawn), tol=TOLERANCE) is None
 
 
-def test_another_curve_is_seen_to_be_another(model, tmp_path) -> None:
-    """The comparison can fail: the same figure with its paths exchanged is told from the one that was kept."""
-    scenes = tuple(scene._replace(pose=scene.pose[:, [1, 0, 2]]) for scene in model.scenes)
-    figure = plot.paths([model._replace(scenes=scenes)])
-    figure.savefig(tmp_path / "paths.png", dpi=60)
-    assert compare_images(str(PICTURES / "paths.png"), str(tmp_path / "paths.png"), tol=TOLERANCE) is not None
+def exchanged(model: Played) -> Played:
+    """With x and y of its paths exchanged."""
+    return model._replace(scenes=tuple(s._replace(pose=s.pose[:, [1, 0, 2]]) for s in model.scenes))
+
+
+def told(**parts) -> Explanation:
+    """The story, with other parts."""
+    return cast(Explanation, SimpleNamespace(**{**vars(story()), **parts}))
+
+
+def reversed_force(found: Missing) -> Missing:
+    return found._replace(runs=tuple(run._replace(force=-run.force) for run in found.runs))
+
+
+OTHERS = {
+    "paths": lambda m: plot.paths([exchanged(m)]),
+    "ranking": lambda m: plot.ranking(cast(Stage, SimpleNamespace(ranking=story().base.ranking[::-1]))),
+    "confusability": lambda m: plot.confusability(cast(Stage, SimpleNamespace(ranking=story().base.ranking[::-1]))),
+    "waterfall": lambda m: plot.waterfall(told(stages=story().stages[::-1])),
+    "fall": lambda m: plot.fall(story(), [exchanged(one) for one in models()]),
+    "missing": lambda m: plot.missing(told(missing=reversed_force(story().missing))),
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_another_curve_is_seen_to_be_another(name, model, tmp_path) -> None:
+    """The comparison can fail: the same figure of something else is told from the one that was kept."""
+    OTHERS[name](model).savefig(tmp_path / "other.png", dpi=60)
+    assert compare_images(str(PICTURES / f"{name}.png"), str(tmp_path / "other.png"), tol=TOLERANCE) is not None
 
 
 def test_figures_are_written_as_raster_and_as_vector_and_the_same_each_time(model, tmp_path) -> None:

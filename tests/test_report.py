@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from browsing import Seen, check, numbers, written
 from small import NASTY, NASTY_RUN, small
+from story import models, result, story
 
 from snakejax import Case, Fit, Noise
 from snakejax._played import played_fit
 from snakejax._provenance import provenance_json
 from snakejax._results import fit_json
-from snakejax.report import fit_page, sweep_page, tune_page
+from snakejax._text import error, misfit_text, number
+from snakejax.report import explanation_page, fit_page, sweep_page, tune_page
 
 
 @pytest.fixture(scope="module")
@@ -44,6 +46,57 @@ def test_a_path_is_where_the_board_was(nasty, tmp_path) -> None:
     assert measured["x"][:50] == pytest.approx(pose[:50, 0], rel=1e-4, abs=1e-9)
     assert measured["y"][100:120] == [None] * 20
     assert np.abs(np.array(modelled["x"][:50]) - pose[:50, 0]).max() < 5 * float(noise.position)
+
+
+def test_the_story_of_what_nothing_known_explains(browser, tmp_path) -> None:
+    told = result() | {"quality": {"as_recorded": False, "findings": [], "masked": {}}}
+    seen = Seen(browser, written(tmp_path, explanation_page(story(), told, models())))
+    page = seen.page
+    assert page.inner_text("#recordings p") == "Nothing was found wrong with them."
+    text = page.inner_text("#ranking")
+    assert "These runs cannot tell quadratic_drag from longitudinal_slip or body_drag." in text
+    assert text.count("These runs cannot tell") == 1
+    assert [t["name"] for t in seen.traces("tyre") if t["mode"] == "lines" and "fill" not in t] == [
+        "base model",
+        "+ ground_slope",
+        "+ ground_slope + rotor_gain",
+    ]
+    shown = {c.get_attribute("data-key"): c.text_content() for c in page.query_selector_all("[data-key]")}
+    assert shown["base.misfit.train"] == "4.2e4" and shown["base.rmse.train.heading_rad*1000"] == "1.00"
+    # Each component that is felt has an axis, and nothing is written beyond the edge of its chart.
+    force = page.evaluate("document.getElementById('chart-force-0').data.map(t => t.yaxis)")
+    assert force == ["y", "y", "y2", "y2"]
+    beyond = (
+        "() => [...document.querySelectorAll('.chart')].flatMap(c => { const box = c.getBoundingClientRect();"
+        "return [...c.querySelectorAll('text')].filter(t => t.textContent.trim()).filter(t => {"
+        "const r = t.getBoundingClientRect(); return r.width && (r.left < box.left - 1 || r.right > box.right + 1); })"
+        ".map(t => `${c.id}: ${t.textContent}`); })"
+    )
+    assert page.evaluate(beyond) == []
+    check(seen)
+    seen.draw()
+    assert page.evaluate(beyond) == []
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "shown"),
+    [
+        (14.863, 0.387, "14.86 0.39"),
+        (6.298, 101.2, "6 101"),
+        (-0.3, 32.0, "0 32"),
+        (6.857e-8, 9.928e-8, "6.9e-08 9.9e-08"),
+        (-1.434e-7, 8.841e-8, "-1.43e-07 8.8e-08"),
+        (0.0, 1e-12, "0 1.0e-12"),
+        (0.0, 0.5, "0.00 0.50"),
+    ],
+)
+def test_a_number_has_the_digits_that_its_error_bears(value, sd, shown) -> None:
+    assert f"{number(value, sd)} {error(sd)}" == shown
+
+
+@pytest.mark.parametrize(("misfit", "shown"), [(101999.0, "1.0e5"), (999.7, "1.0e3"), (653.2, "653"), (1.0, "1.00")])
+def test_a_misfit_has_three_digits_or_two(misfit, shown) -> None:
+    assert misfit_text(misfit) == shown
 
 
 HEAD = {"schema": 1, "case": NASTY, "model": "pacejka", "skid": "coupled", "provenance": provenance_json(0, {}, {})}

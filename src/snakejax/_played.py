@@ -43,9 +43,12 @@ def played_stage(stage: Stage, number: int = 0) -> Played:
     """The model of one step of the loop."""
     study, optimum = stage.bench.study, stage.step.optimum
     seen = scenes(study, optimum, stage.judgement)
-    sign = {"added": "+ ", "dropped": "- "}.get(stage.change, "")
-    label = f"{sign}{stage.name}" if sign else "base model"
-    return Played(str(number), label, stage_look(stage), seen, traction(study, optimum, seen))
+    return Played(str(number), stage_label(stage.effects), stage_look(stage), seen, traction(study, optimum, seen))
+
+
+def stage_label(effects: Sequence[str]) -> str:
+    """The model with these effects, in a legend."""
+    return f"+ {' + '.join(effects)}" if effects else "base model"
 
 
 def stage_look(stage: Stage) -> Look:

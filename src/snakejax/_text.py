@@ -28,13 +28,20 @@ Interval = tuple[float | None, float | None]
 
 
 def number(value: float | None, sd: float | None = None) -> str:
-    """`value` with as many digits as its standard error `sd` bears: the error's first two."""
+    """`value` with as many digits as its standard error `sd` bears: the error's first two, but no less than units."""
     if value is None:
         return ""
-    if sd is None or not 0 < sd < float("inf"):
+    if sd is None or not 0 < sd < float("inf") or abs(value) >= 1e7:
         return f"{value:.4g}"
-    decimals = 1 - int(f"{sd:.1e}".split("e")[1])
-    return f"{value:.{decimals}f}" if 0 <= decimals <= 8 and abs(value) < 1e7 else f"{value:.4g}"
+    decimals = max(1 - _magnitude(sd), 0)
+    if decimals <= 8:
+        return f"{value:z.{decimals}f}"
+    return f"{value:.{max(decimals + _magnitude(value), 0)}e}" if value else "0"
+
+
+def _magnitude(value: float) -> int:
+    """The power of ten of the first digit."""
+    return int(f"{value:.1e}".split("e")[1])
 
 
 def error(sd: float | None) -> str:
@@ -76,7 +83,7 @@ def misfit_text(misfit: float | None) -> str:
     """A misfit to three digits, and to two with an exponent where it is large."""
     if misfit is None:
         return ""
-    return f"{misfit:#.3g}".rstrip(".") if misfit < 1000 else f"{misfit:.2g}".replace("e+0", "e").replace("e+", "e")
+    return f"{misfit:#.3g}".rstrip(".") if misfit < 999.5 else f"{misfit:.1e}".replace("e+0", "e").replace("e+", "e")
 
 
 def named(name: str) -> str:

@@ -12,7 +12,7 @@ SMALLEST = 1e-300
 def ranking(base: Stage) -> Figure:
     """Left, the misfit that each candidate would leave: an open mark as predicted, a full one as refitted. Right, p."""
     shown = list(base.ranking)[::-1]
-    figure = Figure(figsize=(9.0, 1.4 + 0.24 * len(shown)), layout="constrained")
+    figure = Figure(figsize=(9.0, 1.7 + 0.24 * len(shown)), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.6, 1.0))
     places = np.arange(len(shown))
     colours = [look(one.effect).colour for one in shown]
@@ -25,7 +25,7 @@ def ranking(base: Stage) -> Figure:
     left.set_yticks(places, [one.effect for one in shown], fontsize="small")
     left.set(xlabel="mean squared residual / noise variance")
     left.grid(axis="y", color="0.9", lw=0.6)
-    left.legend(fontsize="small")
+    figure.legend(*left.get_legend_handles_labels(), fontsize="small", loc="outside upper left", ncols=2)
     sure = [np.nan if one.score is None else -np.log10(max(one.score.p_value, SMALLEST)) for one in shown]
     right.barh(places, sure, color=colours)
     right.set(xlabel="-log10 p, corrected for their number")

@@ -55,6 +55,9 @@ def missing(found: Explanation) -> Figure:
     for row, run in zip(axes, runs, strict=True):
         for k, (axis, name, look) in enumerate(zip(row, COMPONENTS, FORCES, strict=True)):
             force, sd = run.force[:, k], run.sd[:, k]
+            if not np.isfinite(sd).any():
+                axis.annotate("not felt by this structure", (0.5, 0.5), xycoords="axes fraction", ha="center")
+                force = np.full_like(force, np.nan)
             axis.fill_between(run.t, force - 1.96 * sd, force + 1.96 * sd, color=look.colour, alpha=0.25, lw=0)
             axis.plot(run.t, force, color=look.colour, lw=1)
             axis.set_ylabel(name, fontsize="small")

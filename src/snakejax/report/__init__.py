@@ -78,8 +78,10 @@ def explanation_page(found: Explanation, result: Json, models: Sequence[Played])
 def _page(case, noise, told: str, models: Sequence[Played], parts: Sequence[Section], result: Json, board) -> str:
     """A page about recorded runs."""
     shown = {models[0].key, models[-1].key}
-    switches = tuple(Model(m.key, m.label, m.look.colour, m.key in shown) for m in models)
+    switches = tuple(Model(m.key, m.label, m.look, m.key in shown) for m in models)
     runs = tuple((scene.run, scene.role) for scene in models[0].scenes)
+    recordings = sections.recordings(result)
+    parts = [*parts, *([recordings] if recordings is not None else [])]
     facts = (case.title, f"{noise_line(noise)[0].upper()}{noise_line(noise)[1:]}.")
     return render(
         Page(f"{case.name} - snakejax", told, facts, runs, switches, tuple(parts), result, movie(models, board))

@@ -101,10 +101,10 @@ def faint(colour: str) -> str:
 
 
 def bars(x: Sequence[str], y: Sequence[float | None], name: str, colour: str, **more: Any) -> Trace:
-    """Upright bars with their values on top."""
+    """Upright bars with their values on top, over labels that are safe to show as `text` makes them."""
     return {
         "type": "bar",
-        "x": [text(label) for label in x],
+        "x": list(x),
         "y": y,
         "name": text(name),
         "marker": {"color": colour},
@@ -122,6 +122,22 @@ def axes(x: str, y: str, **more: Any) -> dict[str, Any]:
     layout: dict[str, Any] = {"xaxis": {"title": {"text": x}}, "yaxis": {"title": {"text": y}}}
     for key, value in more.items():
         layout[key] = {**layout[key], **value} if key in layout else value
+    return layout
+
+
+def axis_name(place: int) -> str:
+    """What a trace calls the vertical axis at `place`, counted from the top, of a `stacked` layout."""
+    return f"y{place + 1}" if place else "y"
+
+
+def stacked(x: str, names: Sequence[str]) -> dict[str, Any]:
+    """A layout of one axis above another, each with a scale of its own, over one horizontal axis."""
+    count = len(names)
+    layout: dict[str, Any] = {"xaxis": {"title": {"text": x}, "anchor": axis_name(count - 1)}, "showlegend": False}
+    for place, name in enumerate(names):
+        low = (count - 1 - place) / count
+        ends = [low + (0.03 if place < count - 1 else 0.0), low + 1 / count]
+        layout[f"yaxis{place + 1}" if place else "yaxis"] = {"title": {"text": name}, "domain": ends, "nticks": 4}
     return layout
 
 

@@ -6,23 +6,43 @@ import numpy as np
 from jaxtyping import Float
 
 from .._json import Json
-from .._missing import Missing
+from .._missing import Missing, RunForce
 from .._palette import BASE, FORCES, HELDOUT, MEASURED, TRAIN, Look, look
 from .._played import Played
 from .._scenes import Scene
 from .._stretches import stretches
-from ._chart import EQUAL, Chart, Trace, axes, band, bars, line, plain, points, text, thinned
+from .._text import misfit_text
+from ._chart import (
+    EQUAL,
+    Chart,
+    Trace,
+    axes,
+    axis_name,
+    band,
+    bars,
+    faint,
+    line,
+    plain,
+    points,
+    stacked,
+    text,
+    thinned,
+)
 
 PHASE_BINS = 24
 SLIP_BINS = 20
 FEWEST = 5
 ARROW = 0.3
 """The longest arrow, as a share of how far the runs go."""
-
-
-def held(name: str, role: str) -> str:
-    """A run as it is called where its role matters."""
-    return f"{name} (held out)" if role == "heldout" else name
+MARGIN = 0.05
+"""What is free around a path, as a share of its size."""
+AROUND_NOISE = 0.5, 2.0
+"""Misfits that an axis shows at least: where all are about 1 their scatter is not to look like something."""
+COMPONENTS = ("X [N]", "Y [N]", "N [N m]")
+UNITS = {"time": "s", "speed": "m/s", "slip": "m/s", "steering_rate": "rad/s", "rotor_rate": "rad/s"}
+UNITS |= dict.fromkeys(("heading", "gait_phase", "steering_angle", "rotor_angle"), "rad")
+COLOURBAR = {"title": {"text": "log10 misfit", "side": "top"}, "thickness": 12, "orientation": "h", "y": 1.0}
+COLOURBAR |= {"yanchor": "bottom", "x": 0.5, "len": 0.8}
 
 
 def paths(models: Sequence[Played]) -> list[Chart]:
@@ -40,6 +60,11 @@ def paths(models: Sequence[Played]) -> list[Chart]:
         start = points(first[:, 0], first[:, 1], "first frame", MEASURED, symbol="x")
         label = f"The path of {scene.run}, measured and modelled."
         layout = axes("x [m]", "y [m]", showlegend=False, **EQUAL)
+        if first.size:
+            low, high = np.nanmin(scene.seen[:, :2], axis=0), np.nanmax(scene.seen[:, :2], axis=0)
+            for axis, ends in zip(("xaxis", "yaxis"), np.transpose([low, high]), strict=True):
+                room = MARGIN * float(np.ptp(ends))
+                layout[axis]["autorangeoptions"] = {"include": plain([ends[0] - room, ends[1] + room])}
         charts.append(Chart(f"path-{k}", label, (*traces, start), layout, 320, scene.run))
     return charts
 
@@ -52,7 +77,9 @@ def falling(result: Json) -> Chart:
     """The misfit at each step, of train and of held-out runs; 1 is noise."""
     steps = [("base", result["base"])]
     steps += [(next(f"{k} {s[k]}" for k in ("added", "dropped") if k in s), s) for s in result.get("steps", ())]
-    names = [f"{number}. {name}" if number else name for number, (name, _) in enumerate(steps)]
+    names = [
+        f"{number}. {text(name).replace(' ', '<br>', 1)}" if number else name for number, (name, _) in enumerate(steps)
+    ]
     traces: list[Trace] = []
     for role, title, colour, pattern in (
         ("train", "train runs", TRAIN, ""),
@@ -60,15 +87,15 @@ def falling(result: Json) -> Chart:
     ):
         values = [step["misfit"][role] for _, step in steps]
         if any(value is not None for value in values):
-            shown = ["" if v is None else f"{v:.3g}" for v in values]
+            shown = [misfit_text(v) for v in values]
             trace = bars(names, values, title, colour, text=shown, textposition="outside", cliponaxis=False)
             trace["marker"]["pattern"] = {"shape": pattern}
             traces.append(trace)
     floor = {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": 1, "y1": 1, "line": {"dash": "dot", "width": 2}}
-    note = {"xref": "paper", "x": 1, "y": 0, "yref": "y", "text": "noise", "showarrow": False, "yanchor": "bottom"}
+    floor |= {"name": "noise", "showlegend": True}
     every = [v for trace in traces for v in trace["y"] if v]
     ends = {"type": "log", "range": [float(np.log10(v)) for v in (min(0.3, min(every) / 2), 3 * max(every))]}
-    layout = axes("", "mean squared residual / noise", yaxis=ends, barmode="group", shapes=[floor], annotations=[note])
+    layout = axes("", "mean squared residual / noise", yaxis=ends, barmode="group", shapes=[floor])
     layout["bargap"] = 0.45
     return Chart("falling", "The misfit after each step, train and held-out runs.", tuple(traces), layout, 360)
 
@@ -89,25 +116,25 @@ def _failing(model: Played) -> Chart:
         for stretch in stretches(scene.track):
             cells.setdefault(round((stretch.begin + stretch.end) / 2, 3), []).append(stretch.misfit)
         rows.append({middle: float(np.mean(values)) for middle, values in cells.items()})
-        names.append(held(scene.run, scene.role))
+        names.append(text(scene.run) + ("<br>(held out)" if scene.role == "heldout" else ""))
     middles = sorted({middle for row in rows for middle in row})
     misfit = [[row.get(middle) for middle in middles] for row in rows]
     z = [[None if v is None else plain([np.log10(max(v, 1e-3))])[0] for v in row] for row in misfit]
     trace: Trace = {
         "type": "heatmap",
         "x": middles,
-        "y": [text(name) for name in names],
+        "y": names,
         "z": z,
-        "text": [["" if v is None else f"{v:.3g}" for v in row] for row in misfit],
+        "text": [[misfit_text(v) for v in row] for row in misfit],
         "hovertemplate": "%{y}<br>%{x:.1f} s: misfit %{text}<extra></extra>",
         "colorscale": "Cividis",
         "zmin": 0,
-        "colorbar": {"title": {"text": "log10 misfit"}, "thickness": 12},
+        "colorbar": COLOURBAR,
         "meta": {"stage": model.key},
     }
     layout = axes("time [s]", "", yaxis={"autorange": "reversed", "automargin": True})
-    label = f"Where the {model.label} fails: the misfit of each run over time."
-    return Chart(f"failing-{model.key}", label, (trace,), layout, 110 + 26 * len(names), None, model.key)
+    label = f"The misfit of each run over time, {model.label}."
+    return Chart(f"failing-{model.key}", label, (trace,), layout, 150 + 30 * len(names), None, model.key)
 
 
 def against(models: Sequence[Played], variable: str, title: str, circular: bool = False) -> Chart:
@@ -127,6 +154,9 @@ def against(models: Sequence[Played], variable: str, title: str, circular: bool 
         kept = count >= FEWEST
         traces.append(line(middle[kept], mean[kept], model.label, model.look, stage=model.key))
         traces[-1]["mode"] = "lines+markers"
+    # Unseen marks, for no option of Plotly's widens the range that it finds itself on a logarithmic axis.
+    unseen = points(traces[0]["x"][:1] * 2, AROUND_NOISE, "", MEASURED, hoverinfo="skip", showlegend=False)
+    traces.append({**unseen, "opacity": 0})
     label = f"The misfit against {title}."
     return Chart(f"against-{variable}", label, tuple(traces), axes(title, "misfit", yaxis={"type": "log"}), 280)
 
@@ -161,9 +191,11 @@ def suspects(ranking: Sequence[Json]) -> Chart:
         }
         trace["marker"] |= {"color": looks, "size": 10, "line": {"width": 2, "color": looks}}
         traces.append(trace)
-    layout = axes(
-        "misfit it would leave (predicted: of short windows)", "", xaxis={"type": "log"}, yaxis={"automargin": True}
-    )
+    every = [v for trace in traces for v in trace["x"] if v]
+    ends = [np.log10(min(AROUND_NOISE[0], *every)), np.log10(max(AROUND_NOISE[1], *every))]
+    room = MARGIN * (ends[1] - ends[0])
+    xaxis = {"type": "log", "range": plain([ends[0] - room, ends[1] + room])}
+    layout = axes("misfit it would leave", "", xaxis=xaxis, yaxis={"automargin": True, "dtick": 1})
     return Chart("suspects", "What misfit each candidate would leave.", tuple(traces), layout, 90 + 20 * len(shown))
 
 
@@ -186,6 +218,7 @@ def tyre(models: Sequence[Played]) -> Chart:
                 error_x=factor * means.slip_sd,
                 error_y=means.sd,
                 stage=model.key,
+                showlegend=False,
             )
             traces.append(marks)
     label = "The force of the tyre against slip: the fitted curve with its band, and what the recordings ask of it."
@@ -193,21 +226,24 @@ def tyre(models: Sequence[Played]) -> Chart:
 
 
 def missing(found: Missing) -> list[Chart]:
-    """The missing force of each run over time, with a band of two standard errors."""
+    """The missing force of each run over time, with a 95% band, each component on a scale of its own."""
     charts = []
     for k, run in enumerate(found.runs):
         traces: list[Trace] = []
-        for c, (name, unit) in enumerate((("X", "N"), ("Y", "N"), ("N", "N m"))):
-            force, sd = run.force[:, c], run.sd[:, c]
-            if not np.isfinite(sd).any():
-                continue
-            drawn = FORCES[c]
-            low, high = force - 1.96 * sd, force + 1.96 * sd
-            traces.append(band(run.t, low, high, name, drawn))
-            traces.append(line(run.t, force, f"{name} [{unit}]", drawn))
+        felt = _felt([run])
+        for place, c in enumerate(felt):
+            force, sd, on = run.force[:, c], run.sd[:, c], {"yaxis": axis_name(place)}
+            traces.append(band(run.t, force - 1.96 * sd, force + 1.96 * sd, COMPONENTS[c], FORCES[c], **on))
+            traces.append(line(run.t, force, COMPONENTS[c], FORCES[c], **on))
         label = f"The missing force in {run.run}, with 95% bands."
-        charts.append(Chart(f"force-{k}", label, tuple(traces), axes("time [s]", "N, N m"), 260, run.run))
+        layout = stacked("time [s]", [COMPONENTS[c] for c in felt])
+        charts.append(Chart(f"force-{k}", label, tuple(traces), layout, 120 + 90 * len(felt), run.run))
     return charts
+
+
+def _felt(runs: Sequence[RunForce]) -> list[int]:
+    """The components that the structure feels at all."""
+    return [c for c in range(3) if any(np.isfinite(run.sd[:, c]).any() for run in runs)]
 
 
 def dependence(shares: Sequence[Json]) -> Chart:
@@ -220,9 +256,7 @@ def dependence(shares: Sequence[Json]) -> Chart:
         "marker": {"color": TRAIN},
         "hovertemplate": "%{y}: %{x:.1f} %<extra></extra>",
     }
-    layout = axes(
-        "share that it predicts on runs left out [%]", "", yaxis={"automargin": True}, xaxis={"range": [0, 100]}
-    )
+    layout = axes("share that it predicts [%]", "", yaxis={"automargin": True}, xaxis={"range": [0, 100]})
     return Chart("dependence", "What the missing force depends on.", (trace,), layout, 90 + 22 * len(shares))
 
 
@@ -232,17 +266,25 @@ def shape(found: Missing, variable: str, model: Played) -> Chart:
     if variable == "world_position":
         return _arrows(found, scenes)
     traces = []
-    for c, (name, unit) in enumerate((("X", "N"), ("Y", "N"), ("N", "N m"))):
-        parts = []
-        for run in found.runs:
-            if np.isfinite(run.sd[:, c]).any():
-                scene = scenes[run.run]
-                parts.append((np.interp(run.t, scene.times, _variable(scene, variable)), run.force[:, c], run.sd[:, c]))
-        if parts:
-            values, force, sd = np.concatenate(parts, axis=1)
-            traces.append(points(values, force, f"{name} [{unit}]", FORCES[c], error_y=sd))
-    label = f"The missing force against {variable}."
-    return Chart("shape", label, tuple(traces), axes(variable.replace("_", " "), "N, N m"), 340)
+    felt = _felt(found.runs)
+    for place, c in enumerate(felt):
+        parts = [
+            (
+                np.interp(run.t, scenes[run.run].times, _variable(scenes[run.run], variable)),
+                run.force[:, c],
+                run.sd[:, c],
+            )
+            for run in found.runs
+            if np.isfinite(run.sd[:, c]).any()
+        ]
+        values, force, sd = np.concatenate(parts, axis=1)
+        traces.append(points(values, force, COMPONENTS[c], FORCES[c], error_y=sd, yaxis=axis_name(place)))
+        traces[-1]["marker"]["size"] = 3
+        traces[-1]["error_y"]["color"] = faint(FORCES[c].colour)
+    label = f"The missing force against {variable}, with 95% bars."
+    words = f"{variable.replace('_', ' ')} [{UNITS[variable]}]"
+    layout = stacked(words, [COMPONENTS[c] for c in felt])
+    return Chart("shape", label, tuple(traces), layout, 120 + 90 * len(felt))
 
 
 def _variable(scene: Scene, variable: str) -> Float[np.ndarray, " n"]:

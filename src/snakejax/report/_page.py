@@ -9,7 +9,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from .._json import Json, clean
+from .._palette import Look
 from ._chart import Chart
+
+STROKES = {"solid": "none", "dash": "7 3", "dot": "2 2", "dashdot": "7 2 2 2"}
+"""The dash of a line as SVG has it."""
 
 
 class Cell(NamedTuple):
@@ -53,7 +57,7 @@ class Model(NamedTuple):
 
     key: str
     label: str
-    colour: str
+    look: Look
     shown: bool
 
 
@@ -80,6 +84,7 @@ def render(page: Page) -> str:
     }
     return _template().render(
         page=page,
+        strokes=STROKES,
         plotly=_plotly(),
         style=_asset("page.css"),
         script=_asset("page.js"),

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from .._json import Json
 from .._played import Played
-from .._text import misfit_text, number
+from .._text import error, misfit_text, number
 from . import _figures as figures
 from ._page import Cell, Row, Section, Table, cells, plain_sentences, table
 
@@ -80,7 +80,9 @@ def _error_row(name: str, key: str, part: Json) -> Row:
 
 def _scaled(value: float | None, key: str) -> Cell:
     """A length in mm or an angle in mrad; the key ends in the factor."""
-    return Cell("" if value is None else f"{1000 * value:.3g}", f"{key}*1000")
+    scaled = None if value is None else 1000 * value
+    text = "" if scaled is None else f"{scaled:#.3g}".rstrip(".") if abs(scaled) < 999.5 else f"{scaled:.0f}"
+    return Cell(text, f"{key}*1000")
 
 
 def failing(models: Sequence[Played], comparison: Json | None = None) -> Section:
@@ -154,8 +156,8 @@ def ranking(result: Json, words: Words) -> Section:
                 smallest = one["detectable"].get(name)
                 value = (
                     Cell(number(estimate["value"], estimate["sd"]), f"{key}.estimate.{name}.value"),
-                    Cell(f"{number(estimate['sd'], estimate['sd'])} {estimate['unit']}", f"{key}.estimate.{name}.sd"),
-                    Cell(number(smallest), f"{key}.detectable.{name}"),
+                    Cell(f"{error(estimate['sd'])} {_unit(estimate)}".rstrip(), f"{key}.estimate.{name}.sd"),
+                    Cell("" if smallest is None else f"{smallest:.2g}", f"{key}.detectable.{name}"),
                 )
             said = one["effect"] if place == 0 else ""
             twins = ", ".join(one["confusable_with"]) if place == 0 else ""
@@ -165,9 +167,9 @@ def ranking(result: Json, words: Words) -> Section:
     best = [one["effect"] for one in result["ranking"][:3]]
     sentences = plain_sentences(
         "How sure each effect is beside the base model, and the value to expect, before any is added. p is corrected"
-        " for the number of candidates; the best few were refitted on whole runs.",
+        " for the number of candidates; predictions are of short windows, the best few were refitted on whole runs.",
         *(f"{name}: {words(name)}" for name in best),
-        *_groups(result["ranking"]),
+        *_twins(result["ranking"]),
     )
     tables = [table("Candidates, best first", heads, rows)]
     if result["left_out"]:
@@ -176,14 +178,21 @@ def ranking(result: Json, words: Words) -> Section:
     return Section("ranking", "What may be missing", sentences, (figures.suspects(result["ranking"]),), tuple(tables))
 
 
-def _groups(ranked: Sequence[Json]) -> Iterator[str]:
-    """The sets of effects that these runs cannot tell apart, each once."""
-    told: list[set[str]] = []
-    for one in ranked:
-        group = {one["effect"], *one["confusable_with"]}
-        if len(group) > 1 and group not in told:
-            told.append(group)
-            yield f"These runs cannot tell apart: {', '.join(sorted(group))}."
+def _unit(estimate: Json) -> str:
+    """The unit behind a number; none where it has none."""
+    return "" if estimate["unit"] == "-" else estimate["unit"]
+
+
+def _twins(ranked: Sequence[Json]) -> Iterator[str]:
+    """Which effects these runs cannot tell apart, each pair once: two that resemble a third need not resemble."""
+    told: set[frozenset[str]] = set()
+    for one in sorted(ranked, key=lambda one: -len(one["confusable_with"])):
+        pairs = {other: frozenset((one["effect"], other)) for other in one["confusable_with"]}
+        others = [other for other, pair in pairs.items() if pair not in told]
+        told.update(pairs.values())
+        if others:
+            *first, last = others
+            yield f"These runs cannot tell {one['effect']} from {', '.join(first)}{' or ' if first else ''}{last}."
 
 
 def tyre(models: Sequence[Played]) -> Section:
@@ -199,7 +208,8 @@ def tyre(models: Sequence[Played]) -> Section:
 def parameters(result: Json, advice: Sequence[str] = ()) -> Section:
     """The parameters with their intervals, and what could not be determined."""
     tables = []
-    parts = [("base", result["base"])] + ([("final", result["final"])] if result.get("final") else [])
+    # Without a step the final model is the base.
+    parts = [("base", result["base"])] + ([("final", result["final"])] if result.get("steps") else [])
     for key, part in parts:
         rows = list(_parameter_rows(part["parameters"], f"{key}.parameters"))
         for effect, values in (part.get("effects") or {}).items():
@@ -221,8 +231,7 @@ def _parameter_rows(parts: Mapping[str, Json], key: str, prefix: str = "") -> It
         note = "held" if part.get("held") else "" if part["determined"] else "cannot be determined"
         note = "at its bound" if part.get("at_bound") else note
         value = Cell(number(part["value"], sd), f"{key}.{name}.value")
-        error = Cell(number(sd, sd), f"{key}.{name}.sd")
-        yield Row(cells(prefix + name, value, error, part["unit"], interval, note))
+        yield Row(cells(prefix + name, value, Cell(error(sd), f"{key}.{name}.sd"), part["unit"], interval, note))
 
 
 def _end(value: float | None, sd: float | None, open_: str) -> str:

@@ -19,7 +19,8 @@
       hoverlabel: { bgcolor: ground, bordercolor: rule, font: { color: ink } },
       hovermode: layout.hovermode || "closest",
     };
-    for (const name of ["xaxis", "yaxis"]) made[name] = { ...axis, ...layout[name] };
+    const names = Object.keys(layout).filter((name) => /^[xy]axis/.test(name));
+    for (const name of new Set(["xaxis", "yaxis", ...names])) made[name] = { ...axis, ...layout[name] };
     made.shapes = (layout.shapes || []).map((s) => ({ ...s, line: { color: ink, ...s.line } }));
     return made;
   };
@@ -144,15 +145,16 @@
       svg.replaceChildren();
       const xs = [...run.x, ...model.x].filter((v) => v != null), ys = [...run.y, ...model.y].filter((v) => v != null);
       const [west, east, south, north] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
-      const room = 1.6 * L;
-      svg.setAttribute("viewBox", `${west - room} ${-north - room} ${east - west + 2 * room} ${north - south + 2 * room}`);
+      const room = 1.6 * L, foot = 34;  // pixels below, for the scale
+      const [width, height] = [east - west + 2 * room, north - south + 2 * room];
+      const pixel = Math.max(width / svg.clientWidth, height / (svg.clientHeight - foot)) || 1e-3;
+      const low = south - room - (foot - 8) * pixel;
+      svg.setAttribute("viewBox", `${west - room} ${-north - room} ${width} ${height + foot * pixel}`);
       const world = make("g", { transform: "scale(1 -1)" }, svg);
-      const step = 10 ** Math.floor(Math.log10(Math.max(east - west, north - south, L)));
-      const [left, low] = [west - 0.8 * room, south - 0.75 * room];
+      const step = 10 ** Math.floor(Math.log10(Math.max(east - west, north - south, L))), left = west - 0.8 * room;
       make("line", { x1: left, y1: low, x2: left + step, y2: low, ...line, stroke: "currentColor", "stroke-width": 3 },
         world);
-      const name = make("text", { x: left, y: -low - 0.02 * (north - south + 2 * room), fill: "currentColor",
-        "font-size": 0.045 * (north - south + 2 * room) }, svg);
+      const name = make("text", { x: left, y: -low - 6 * pixel, fill: "currentColor", "font-size": 15 * pixel }, svg);
       name.textContent = `${step} m`;
       make("path", { ...line, d: trail(run.x, run.y, run.t.length - 1), stroke: movie.measured, "stroke-width": 4,
         opacity: 0.25 }, world);
@@ -215,6 +217,7 @@
     slider.addEventListener("input", () => { stop(); place(); });
     for (const id of ["movie-run", "movie-stage"]) get(id).addEventListener("change", () => { stop(); slider.value = 0; setup(); });
     setup();
+    addEventListener("resize", setup);
     if (still.matches) slider.value = slider.max, place();
   }
   mark("ready");
