@@ -68,7 +68,7 @@ class Bed(NamedTuple):
                 raise InputError(f"All parameters of `{name}` are held", WHERE, "leave one of them without a value")
             if unseen := [self.names[k].rsplit(".", 1)[-1] for k in self.places[name] if not self.G[k, k] > 0]:
                 what = f"The given runs do not show `{unseen[0]}` of `{name}` at all"
-                remedy = f"take another, or hold it: --effect {name}:{unseen[0]}=NUMBER"
+                remedy = f"take another, or hold it at a value with --effect, as in NAME:{unseen[0]}=1"
                 raise InputError(what, WHERE, remedy)
             if not np.isfinite(self.detectable(name)).all():
                 raise InputError(f"The given runs do not show `{name}` at all", WHERE, "take another")

@@ -134,7 +134,8 @@ def candidates(
     found, held = {}, set()
     for name in effects:
         if name not in own and name not in LIBRARY:
-            remedy = f"{instead_of(name, [*LIBRARY, *own])}; one of your own is named by --effect FILE.py:Class too"
+            known = [*LIBRARY, *(spec.name for spec in texts.values())]
+            remedy = f"{instead_of(name, known)}; one of your own is named by --effect FILE.py:Class too"
             raise InputError(f"There is no effect `{name}`", WHERE, remedy)
         spec = own.get(name, EffectSpec(name, None, {}))
         found[name] = built(name, effect_class(spec), spec.values)
