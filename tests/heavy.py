@@ -41,9 +41,9 @@ class CableSpring(sj.Force):
 '''
 
 
-def laden(tyre=None) -> Model:
-    """The board under its payload, as one would measure it."""
-    mass, inertia = BOARD.mass + PAYLOAD[0], BOARD.total_inertia + PAYLOAD[1]
+def laden(tyre=None, payload=PAYLOAD) -> Model:
+    """The board under `payload`, as one would measure it."""
+    mass, inertia = BOARD.mass + payload[0], BOARD.total_inertia + payload[1]
     board = Board(**TABLE_II | {"creep_speed": 0.01, "mass": mass, "inertia": inertia})
     return Model(board, Pacejka(**TYRE) if tyre is None else tyre, "free")
 

@@ -3,6 +3,7 @@
 import importlib.util
 import json
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -27,6 +28,7 @@ from snakejax import _task as task
 from snakejax._apart import certainty, information
 from snakejax._cli import main
 from snakejax._cli import tune as command
+from snakejax._errors import InputError
 from snakejax._tune import tune
 from snakejax._units import with_parameters
 from snakejax.effects import BodyDrag
@@ -43,7 +45,7 @@ def case(tmp_path_factory):
 
 @pytest.fixture
 def told(case, tmp_path, monkeypatch, capsys):
-    """Tune by the command line, few guesses and short descents: the JSON on standard output, and the text beside it."""
+    """Tune by the command line, few guesses and short descents: its JSON, page and text."""
     monkeypatch.setattr(task, "GUESSES", 12)
     monkeypatch.setattr(command, "DRAWS", 3)
     for name, value in (("STARTS", 1), ("MOST", 2)):
@@ -52,13 +54,12 @@ def told(case, tmp_path, monkeypatch, capsys):
 
     def run(*options):
         options = [option.format(spring=case.parent / "spring.py", cost=case.parent / "cost.py") for option in options]
-        asked = ["tune", str(case), "--seconds", str(SECONDS), *options]
-        assert main([*asked, "--out", str(tmp_path), "--json", "-"]) == 0
-        found = json.loads(capsys.readouterr().out)
-        assert json.loads((tmp_path / "tune.json").read_text()) == found
+        asked = ["tune", str(case), "--seconds", str(SECONDS), "--out", str(tmp_path)]
+        assert main([*asked, *options]) == 0
+        found = json.loads((tmp_path / "tune.json").read_text())
         page, gait = (tmp_path / "tune.html").read_text(), (tmp_path / "gait.toml").read_text()
         assert f"phi = {found['gait']['phi']}" in gait and (tmp_path / "tune.png").stat().st_size > 10_000
-        return found, page
+        return found, page, capsys.readouterr().out
 
     return run
 
@@ -70,42 +71,44 @@ def run_of(found, model):
 
 
 @pytest.mark.parametrize(
-    ("options", "model", "said"),
+    ("options", "payload", "said"),
     [
-        ([], laden(), f"carrying {PAYLOAD[0]:g} kg and {PAYLOAD[1]:g} kg m^2"),
-        (["--payload", "0"], Model(BOARD, Pacejka(**TYRE), "free"), None),
+        (["--json", "-"], PAYLOAD, None),
+        ([], PAYLOAD, "carrying 2 kg and 0.05 kg m^2 as in one"),
+        (["--payload", "3,0.1"], (3.0, 0.1), "carrying 3 kg and 0.1 kg m^2"),
     ],
 )
-def test_the_board_carries_what_the_first_run_does_or_what_is_asked(told, options, model, said) -> None:
+def test_the_board_carries_what_the_first_run_does_or_what_is_asked(told, options, payload, said) -> None:
     """The end that is told is that of a board whose mass and inertia are those of board and payload together."""
-    found, page = told(*TYRE_GIVEN, "--objective", "{cost}:left", *options)
-    assert found["objective"] == pytest.approx(-run_of(found, model)[-1, 1], abs=1e-6)
-    assert (said in page) if said else ("carrying" not in page)
-    assert found["payload"]["mass_kg"] == (PAYLOAD[0] if said else 0.0)
+    found, page, text = told(*TYRE_GIVEN, "--objective", "{cost}:left", *options)
+    assert found["objective"] == pytest.approx(-run_of(found, laden(payload=payload))[-1, 1], abs=1e-6)
+    assert found["payload"] == {"mass_kg": payload[0], "inertia_kgm2": payload[1]}
+    assert f"carrying {payload[0]:g} kg and {payload[1]:g} kg m^2" in page
+    assert json.loads(text) == found if said is None else said in " ".join(text.split())
 
 
-def test_the_payload_is_said_in_the_text(case, monkeypatch, capsys) -> None:
-    monkeypatch.setattr(task, "GUESSES", 4)
-    monkeypatch.setitem(tune.__kwdefaults__, "starts", 1)
-    monkeypatch.setitem(tune.__kwdefaults__, "most", 1)
-    for options, said in (([], "carrying 2 kg and 0.05 kg m^2 as in one"), (["--payload", "0"], "carrying nothing")):
-        assert main(["tune", str(case), *TYRE_GIVEN, "--seconds", "0.5", *options]) == 0
-        assert said in " ".join(capsys.readouterr().out.split())
-    assert main(["tune", str(case), *TYRE_GIVEN, "--payload", "1,2,3"]) == 2
-    assert "is no payload" in capsys.readouterr().err
+def test_a_payload_is_said_where_any_run_has_one(case) -> None:
+    read = load_case(case)
+    assert command.carried((0.0, 0.0), read) == ((0.0, 0.0), ", carrying nothing")
+    empty = eqx.tree_at(lambda c: c.runs[0].payload, read, jnp.zeros(2))
+    assert command.carried(None, empty) == ((0.0, 0.0), "")
+    assert command.payload_of("2") == (2.0, 0.0) and command.payload_of(None) is None
+    for text in ("1,2,3", "-1", "x"):
+        with pytest.raises(InputError, match=r"payload|number"):
+            command.payload_of(text)
 
 
 @pytest.mark.parametrize("over", ["mean", "worst"])
 def test_a_gait_for_draws_from_the_fit_does_on_them_what_is_said(told, over) -> None:
     """Two seconds leave B and C open."""
-    found, _ = told("--over", over)
+    found, *_ = told("--over", over)
     assert found["over"] == over and len(found["spread"]) == 3 and np.ptp(found["spread"]) > 0
     assert min(found["spread"]) <= found["objective"] * 1.5 and found["before"]["objective"] > 0
 
 
 def test_an_effect_of_ones_own_is_told_from_another(told) -> None:
     """Its parameter with a value is held: only the other one has a strength."""
-    found, page = told("--model", "rayleigh", "--objective", "separate:cable_spring,body_drag", *OWN)
+    found, page, _ = told("--model", "rayleigh", "--objective", "separate:cable_spring,body_drag", *OWN)
     part = found["separate"]
     assert set(part["strengths"]) == {"effects.cable_spring.k", "effects.body_drag.c"}
     assert part["before"] == pytest.approx(0.7, abs=0.01) and part["after"] == found["objective"] > part["before"]
@@ -114,9 +117,9 @@ def test_an_effect_of_ones_own_is_told_from_another(told) -> None:
 
 
 def test_the_two_that_look_most_alike_are_found_and_a_run_about_the_tyre(told) -> None:
-    alike, _ = told("--model", "rayleigh", "--objective", "separate")
+    alike, *_ = told("--model", "rayleigh", "--objective", "separate")
     assert len(set(alike["separate"]["effects"])) == 2 and alike["separate"]["after"] > alike["separate"]["before"]
-    sharper, _ = told("--model", "rayleigh", "--objective", "information")
+    sharper, *_ = told("--model", "rayleigh", "--objective", "information")
     sds = sharper["information"]
     assert sharper["objective"] == pytest.approx(sds["sd_after"]["tyre.k_s"] / sds["sd_before"]["tyre.k_s"])
     assert sharper["objective"] <= sharper["before"]["objective"] < 1
