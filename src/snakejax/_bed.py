@@ -1,6 +1,6 @@
 """What recorded runs say already: about the tyre, and about every effect that may act beside it."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -8,6 +8,7 @@ from jaxtyping import Float
 from scipy import stats
 
 from ._apart import UNSURE, Pair, both_gaps, strength, without_tyre
+from ._bench import LATERAL_SKID
 from ._effect import Effect
 from ._errors import FitError, InputError, instead_of
 from ._fit import Fit
@@ -19,6 +20,7 @@ from ._study import Study
 from ._units import parameters, with_parameters
 from ._windows import linearised
 
+WHERE = "option --objective"
 TYRE_STEP = 0.02
 """The step of a tyre parameter by which its column is taken."""
 DETECTED = float(stats.norm.isf(ALPHA / 50) + stats.norm.ppf(POWER))
@@ -56,16 +58,22 @@ class Bed(NamedTuple):
 
         **Raises:** `InputError` for effects that cannot be told apart.
         """
-        where = "option --objective"
+        require_strengths((first, second))
         for name in (first, second):
             if name in self.left_out:
-                raise InputError(f"`{name}` cannot act here: {self.left_out[name].rstrip('.')}", where, "take another")
+                raise InputError(f"`{name}` cannot act here: {self.left_out[name].rstrip('.')}", WHERE, "take another")
             if name not in self.places:
-                raise InputError(f"There is no effect `{name}`", where, instead_of(name, self.places))
+                raise InputError(f"There is no effect `{name}`", WHERE, instead_of(name, self.places))
+            if not self.places[name]:
+                raise InputError(f"All parameters of `{name}` are held", WHERE, "leave one of them without a value")
+            if unseen := [self.names[k].rsplit(".", 1)[-1] for k in self.places[name] if not self.G[k, k] > 0]:
+                what = f"The given runs do not show `{unseen[0]}` of `{name}` at all"
+                remedy = f"take another, or hold it at a value with --effect, as in NAME:{unseen[0]}=1"
+                raise InputError(what, WHERE, remedy)
             if not np.isfinite(self.detectable(name)).all():
-                raise InputError(f"The given runs do not show `{name}` at all", where, "take another")
+                raise InputError(f"The given runs do not show `{name}` at all", WHERE, "take another")
         if first == second:
-            raise InputError(f"`{first}` is to be told from itself", where, "name two effects")
+            raise InputError(f"`{first}` is to be told from itself", WHERE, "name two effects")
         sizes, known = np.zeros(len(self.names)), dict(strengths or {})
         domains = domains_of(self.model, self.names)
         values = np.array([float(parameters(self.model)[n].value) for n in self.names])
@@ -122,8 +130,18 @@ class Bed(NamedTuple):
         return self.G[np.ix_(used, used)], Pair(first, second, tuple(range(self.tyre)), *parts)
 
 
-def bed(found: Fit, library: Mapping[str, Effect]) -> Bed:
-    """What the train runs of a fit say about its tyre and about every effect of `library` that can act."""
+def require_strengths(effects: Collection[str]) -> None:
+    """**Raises:** `InputError` where one of `effects` has no strength that could be small."""
+    if LATERAL_SKID in effects:
+        what = f"`{LATERAL_SKID}` is a change of structure, with no strength that could be small, as a design needs it"
+        raise InputError(what, WHERE, "let `snakejax explain` decide it by a refit, and name two other effects")
+
+
+def bed(found: Fit, library: Mapping[str, Effect], held: Collection[str] = ()) -> Bed:
+    """What the train runs of a fit say about its tyre and about every effect of `library` that can act.
+
+    The parameters `held`, by their full names, keep the values that the effects have.
+    """
     model, places, left_out = found.model, {}, {}
     names = [name for name in found.optimum.loose if not name.startswith("effects.")]
     names += [name for name in found.optimum.loose if name.startswith("effects.")]
@@ -135,13 +153,14 @@ def bed(found: Fit, library: Mapping[str, Effect]) -> Bed:
             left_out[name] = why
         else:
             model = model.add(**{name: effect})
-            own = [f"effects.{name}.{part}" for part in parameters(effect)]
+            own = [full for part in parameters(effect) if (full := f"effects.{name}.{part}") not in held]
             places[name] = tuple(range(len(names), len(names) + len(own)))
             names += own
     study = Study.of(model, found.study.runs, found.study.noise, names, max(len(names), 1))
     train, values, start = study.numbered("train"), study.values(), found.optimum.start
     seen = Sight(study, tuple(train), values, start, linearised(study, values, start, train))
     probes = {f"effects.{name}.{part}": value for name in places for part, value in library[name].probe.items()}
+    probes = {name: probe for name, probe in probes.items() if name not in held}
     seen = seen.probed(probes) if probes else seen
     free_start = np.asarray(study.batch.free_start)
     G = np.zeros((len(names), len(names)))

@@ -73,7 +73,8 @@ class Separation(NamedTuple):
     """The run that tells two effects apart.
 
     `effects`, and the `strengths` (by parameter) at which they are told apart; `before` and `after`, the probability of
-    the right answer from the given runs and with one designed run more; `sure_from`, the strengths from which on the
+    the right answer from the given runs and with one designed run more, and `known`, with one run more of the best gait
+    that is known; `sure_from`, the strengths from which on the
     given runs, and those with the designed one, are right in 95 %; `repeats`, how many designed runs make it 95 % at
     `strengths`; `gaps`, by how much chi^2 then tells them apart, with either effect acting; `advice`, what else one
     could do.
@@ -83,6 +84,7 @@ class Separation(NamedTuple):
     effects: tuple[str, str]
     strengths: dict[str, float]
     before: float
+    known: float | None
     after: float
     sure_from: tuple[dict[str, float], dict[str, float]]
     repeats: int | None
@@ -92,12 +94,17 @@ class Separation(NamedTuple):
 
 class Sharpening(NamedTuple):
     """The run that says most about the tyre: standard errors of the steps of its parameters (relative, where they are
-    positive), from the given runs, and with it.
+    positive), from the given runs, with it, and `known`, with the best gait that is known instead.
     """
 
     tuned: Tuned
     before: dict[str, float]
+    known: dict[str, float] | None
     after: dict[str, float]
+
+    def shrunk(self, after: Mapping[str, float]) -> float:
+        """The geometric mean of what is left of the standard errors where they become `after`."""
+        return float(np.exp(np.mean([np.log(after[name] / sd) for name, sd in self.before.items()])))
 
 
 def separate(
@@ -110,6 +117,7 @@ def separate(
     *,
     strengths: Mapping[str, float] | None = None,
     rate: float = 100.0,
+    payload: Sequence[float] = (0.0, 0.0),
     **how: Any,
 ) -> Separation:
     """The run within `limits`, of `seconds` [s], that best tells two `effects` apart beside the given ones.
@@ -118,14 +126,17 @@ def separate(
     tyre, the start pose and the strength of the other are fitted too.
 
     **Arguments:** `given`: from `bed`. `runs`: the given runs, for the advice. `strengths`: by effect (default those at
-    which the given runs are right in 70 % of the cases). `rate`: frames a second of the designed run. `how`: as `tune`
-    takes it.
+    which the given runs are right in 70 % of the cases). `rate`: frames a second of the designed run. `payload`: the
+    extra mass [kg] and yaw inertia [kg m^2] that it carries. `how`: as `tune` takes it.
     """
     pair = given.pair(*effects, strengths)
     G, local = given.restricted(pair)
-    tuned, judged = _designed(given, pair, G, local, limits, seconds, rate, how)
+    carrying = given.model.carrying(payload)
+    tuned, judged = _designed(given, carrying, pair, G, local, limits, seconds, rate, how)
     assert local is not None
-    mine = judged(tuned.after.gait, given.boards(pair))
+    boards = given.boards(pair, carrying)
+    mine = judged(tuned.after.gait, boards)
+    known = tuned.before and certainty(G + judged(tuned.before.gait, boards), local)
 
     def at(factor: float) -> dict[str, float]:
         return {given.names[k]: float(factor * pair.sizes[k]) for k in (*pair.first, *pair.second)}
@@ -135,6 +146,7 @@ def separate(
         effects,
         at(1.0),
         certainty(G, local),
+        known,
         certainty(G + mine, local),
         (at(strength(G, local, SURE)), at(strength(G + mine, local, SURE))),
         repeats(G, mine, local),
@@ -143,27 +155,42 @@ def separate(
     )
 
 
-def sharpen(given: Bed, limits: Limits, seconds: float, /, *, rate: float = 100.0, **how: Any) -> Sharpening:
-    """The run within `limits` that says most about the tyre: the largest determinant of its information."""
+def sharpen(
+    given: Bed,
+    limits: Limits,
+    seconds: float,
+    /,
+    *,
+    rate: float = 100.0,
+    payload: Sequence[float] = (0.0, 0.0),
+    **how: Any,
+) -> Sharpening:
+    """The run within `limits` that says most about the tyre: the largest determinant of its information.
+
+    Arguments as `separate` takes them.
+    """
     if not given.tyre:
         raise FitError("The fit frees nothing that a run could tell more about")
     G, _ = given.restricted(None)
-    tuned, judged = _designed(given, None, G, None, limits, seconds, rate, how)
+    carrying = given.model.carrying(payload)
+    tuned, judged = _designed(given, carrying, None, G, None, limits, seconds, rate, how)
 
     def errors(G: np.ndarray) -> dict[str, float]:
         sd = np.sqrt(np.diag(np.linalg.pinv(G, hermitian=True)))
         return {name: float(s) for name, s in zip(given.names, sd, strict=False)}
 
-    return Sharpening(tuned, errors(G), errors(G + judged(tuned.after.gait, given.boards(None))))
+    boards = given.boards(None, carrying)
+    known = tuned.before and errors(G + judged(tuned.before.gait, boards))
+    return Sharpening(tuned, errors(G), known, errors(G + judged(tuned.after.gait, boards)))
 
 
-def _designed(given: Bed, pair: Pair | None, G, local, limits: Limits, seconds: float, rate: float, how):
-    """The gait, and a function that says how much a gait tells on given boards."""
+def _designed(given: Bed, model: Model, pair: Pair | None, G, local, limits: Limits, seconds: float, rate: float, how):
+    """The gait for `model`, and a function that says how much a gait tells on given boards."""
     steps = given.steps(pair)
     # Fewer samples are looked at than are recorded: each stands for several.
     weight = given.weight * np.sqrt(rate / RATE)
     design = _Design(jnp.asarray(G), jnp.asarray(steps), jnp.asarray(weight), local)
-    boards = given.boards(pair)
+    boards = given.boards(pair, model)
     how = {"starts": STARTS, "most": MOST, **how}
     tuned = tune([boards[0], *boards], design, limits, seconds, **how)
 
@@ -178,15 +205,20 @@ def _designed(given: Bed, pair: Pair | None, G, local, limits: Limits, seconds: 
 
 def _advised(given: Bed, pair: Pair, G, local: Pair, runs: Sequence[Run], seconds: float, judged, how) -> list[Advice]:
     """What one could do without a new gait, the best run of each kind."""
-    boards, loaded = given.boards(pair), given.boards(pair, _loaded(given.model))
+    board = given.model.board
+    extra = PAYLOAD * float(board.mass) * np.array([1.0, (float(board.half_length) / 2) ** 2])
     driver, start = how.get("driver") or Driver(), np.asarray(how.get("start", (0.0, 0.0, 0.0)), float)
     train = [run for run in runs if run.role == "train" and not run.moving and run.gait.phi_back is None]
+
+    def boards(run: Run, more: Any = 0.0) -> list[Model]:
+        return given.boards(pair, given.model.carrying(np.asarray(run.payload) + more))
+
     tell: dict[str, Callable[[Run], np.ndarray]] = {
-        "repeat a run": lambda run: judged(run.gait, boards),
-        "reverse the rotor": lambda run: judged(_reversed(run.gait, driver), boards),
-        "turn the board by 90 degrees": lambda run: judged(run.gait, boards, start + np.array([0, 0, np.pi / 2])),
-        "turn the board by 180 degrees": lambda run: judged(run.gait, boards, start + np.array([0, 0, np.pi])),
-        f"add a payload of {PAYLOAD * float(given.model.board.mass):.2g} kg": lambda run: judged(run.gait, loaded),
+        "repeat a run": lambda run: judged(run.gait, boards(run)),
+        "reverse the rotor": lambda run: judged(_reversed(run.gait, driver), boards(run)),
+        "turn the board by 90 degrees": lambda run: judged(run.gait, boards(run), start + np.array([0, 0, np.pi / 2])),
+        "turn the board by 180 degrees": lambda run: judged(run.gait, boards(run), start + np.array([0, 0, np.pi])),
+        f"add a payload of {extra[0]:.2g} kg": lambda run: judged(run.gait, boards(run, extra)),
     }
     found = []
     for do, more in tell.items():
@@ -196,18 +228,12 @@ def _advised(given: Bed, pair: Pair, G, local: Pair, runs: Sequence[Run], second
 
 
 def _unlike(runs: Sequence[Run]) -> list[Run]:
-    """One run of each gait."""
+    """One run of each gait and payload."""
     found: dict[str, Run] = {}
     for run in runs:
-        found.setdefault(eqx.tree_pformat(run.gait, short_arrays=False), run)
+        found.setdefault(eqx.tree_pformat((run.gait, run.payload), short_arrays=False), run)
     return list(found.values())
 
 
 def _reversed(gait: Gait, driver: Driver) -> Gait:
     return driver.driven(Gait(told(gait.phi), scaled(told(gait.psi), -1.0)))
-
-
-def _loaded(model: Model) -> Model:
-    board = model.board
-    mass = PAYLOAD * board.mass
-    return eqx.tree_at(lambda m: m.board, model, board.loaded(mass, mass * (board.half_length / 2) ** 2))

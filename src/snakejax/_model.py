@@ -5,6 +5,7 @@ from typing import Any, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 
 from ._board import Board
 from ._effect import Clock, Command, Effect, Floor, Force, Grip, Layout, Linkage, Memory, Motion, Rolling, Sensor, Wheel
@@ -57,6 +58,12 @@ class Model(eqx.Module):
         """This model without the effects named."""
         kept = OrderedDict((name, effect) for name, effect in self.effects.items() if name not in names)
         return Model(self.board, self.tyre, self.skid, kept)
+
+    def carrying(self, payload: Any) -> "Model":
+        """This model under the `payload` of a run, extra mass [kg] and yaw inertia [kg m^2]; itself under none."""
+        if not np.any(payload):
+            return self
+        return eqx.tree_at(lambda model: model.board, self, self.board.loaded(*payload))
 
     def plugged(self, port: type[E]) -> list[E]:
         """The effects of one port, in order."""

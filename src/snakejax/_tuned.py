@@ -58,9 +58,9 @@ def toml(found: Tuned, name: str, asked: str) -> str:
     return "\n".join([head, *(f"{joint} = {terms[joint]}" for joint in terms)]) + "\n"
 
 
-def report(name: str, asked: str, found: Tuned, over: str) -> Any:
+def report(name: str, asked: str, found: Tuned, over: str, carrying: str = "") -> Any:
     """What is said of a tuned gait."""
-    lines: list[Any] = [Text(name, style="bold"), Text(f"{asked} in {found.seconds:g} s, {_tuned_for(over)}")]
+    lines: list[Any] = [Text(name, style="bold"), Text(f"{asked} in {found.seconds:g} s, {_tuned_for(over)}{carrying}")]
     table = plain_table("gait", *(keys := list(_results(asked, found.after.result))), right=tuple(keys))
     if found.before is not None:
         add_row(table, "best known, within the limits", *_results(asked, found.before.result).values())
@@ -114,16 +114,18 @@ def limits_line(found: Tuned) -> str:
     return "at most, command and joint: " + ", ".join(parts)
 
 
-def design_json(tuned: Tuned, asked: str) -> dict[str, Any]:
-    """The gait of a design as JSON."""
+def design_json(tuned: Tuned, asked: str, known: float | None, reached: float) -> dict[str, Any]:
+    """The gait of a design as JSON: its objective is `reached`, that of the best known gait `known`."""
     found = tuned_json(tuned, asked, "fit")
+    found |= {"objective": reached, "after": {**found["after"], "objective": reached}}
+    found |= {"before": found["before"] and {**found["before"], "objective": known}}
     return {name: part for name, part in found.items() if name not in ("met", "spread", "over")}
 
 
-def separation_json(found: Separation) -> dict[str, Any]:
+def separation_json(found: Separation, asked: str) -> dict[str, Any]:
     """A run that tells two effects apart, as JSON."""
     return {
-        "objective": found.after,
+        **design_json(found.tuned, asked, found.known, found.after),
         "separate": {
             "effects": list(found.effects),
             "strengths": found.strengths,
@@ -137,16 +139,16 @@ def separation_json(found: Separation) -> dict[str, Any]:
     }
 
 
-def sharpening_json(found: Sharpening) -> dict[str, Any]:
+def sharpening_json(found: Sharpening, asked: str) -> dict[str, Any]:
     """A run that says most about the tyre, as JSON; the objective is the geometric mean of how sds shrink."""
-    shrunk = [found.after[name] / found.before[name] for name in found.before]
+    known = found.known and found.shrunk(found.known)
     return {
-        "objective": float(np.exp(np.mean(np.log(shrunk)))),
+        **design_json(found.tuned, asked, known, found.shrunk(found.after)),
         "information": {"sd_before": found.before, "sd_after": found.after},
     }
 
 
-def separation_report(name: str, found: Separation) -> Any:
+def separation_report(name: str, found: Separation, carrying: str = "") -> Any:
     """What is said of a run that tells two effects apart."""
     one, other = found.effects
     strong = ", ".join(f"{n.removeprefix('effects.')} = {v:.3g}" for n, v in found.strengths.items())
@@ -154,7 +156,7 @@ def separation_report(name: str, found: Separation) -> Any:
     add_row(table, "nothing: the given runs alone", f"{100 * found.before:.1f} %")
     for a in found.advice:
         add_row(table, f"{a.do}, as in {a.run}", f"{100 * a.certainty:.1f} %")
-    add_row(table, f"the designed run, {found.tuned.seconds:g} s", f"{100 * found.after:.1f} %", style="bold")
+    add_row(table, f"the designed run, {found.tuned.seconds:g} s{carrying}", f"{100 * found.after:.1f} %", style="bold")
     if found.repeats == 0:
         need = "The given runs are enough at this strength."
     elif found.repeats is None:
@@ -174,13 +176,14 @@ def separation_report(name: str, found: Separation) -> Any:
     )
 
 
-def sharpening_report(name: str, found: Sharpening) -> Any:
+def sharpening_report(name: str, found: Sharpening, carrying: str = "") -> Any:
     """What is said of a run that tells more about the tyre."""
     table = plain_table("parameter", "+- before", "+- with the run", right=("+- before", "+- with the run"))
     for parameter, sd in found.before.items():
         add_row(table, named(parameter), f"{sd:.2g}", f"{found.after[parameter]:.2g}")
-    head = "standard errors of ln B, ln C, ln D and E, given runs and with the designed one"
-    return Group(Text(name, style="bold"), Text(head), Text(), indented(table), *_gait_lines(found.tuned))
+    head = f"the run of {found.tuned.seconds:g} s that says most about the tyre{carrying}"
+    error = "standard errors, those of positive parameters relative"
+    return Group(Text(name, style="bold"), Text(head), Text(error), Text(), indented(table), *_gait_lines(found.tuned))
 
 
 def _gait_lines(tuned: Tuned) -> list[Any]:

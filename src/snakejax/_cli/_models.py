@@ -112,20 +112,24 @@ def _effects(specs: list[EffectSpec], saved: SavedFit | None) -> tuple[OrderedDi
             what = f"The saved fit has the effect `{name}`, which is not built in"
             raise InputError(what, "option --from", "say where it is, with --effect FILE.py:Class")
         kind = effect_class(spec)
-        fixed = spec.values
-        values = {**remembered.get(name, {}), **fixed}
-        try:
-            effects[name] = kind(**{**kind.probe, **values})
-        except TypeError:
-            known = [parameter for parameter, _ in own_parameters(kind())]
-            wrong = next((n for n in values if n not in known), name)
-            remedy = instead_of(wrong, known)
-            raise InputError(f"Effect `{name}` has no parameter `{wrong}`", "option --effect", remedy) from None
-        except ValueError as error:
-            raise InputError(str(error).rstrip("."), "option --effect", "give a value inside its domain") from None
-        held |= {f"effects.{name}.{parameter}" for parameter in fixed}
+        values = {**remembered.get(name, {}), **spec.values}
+        effects[name] = built(name, kind, {**kind.probe, **values})
+        held |= {f"effects.{name}.{parameter}" for parameter in spec.values}
         given |= {f"effects.{name}.{parameter}" for parameter in values}
     return effects, held, given
+
+
+def built(name: str, kind: type[Effect], values: Mapping[str, float]) -> Effect:
+    """The effect `name`, of class `kind`, with `values`. **Raises:** `InputError`."""
+    try:
+        return kind(**values)
+    except TypeError:
+        known = [parameter for parameter, _ in own_parameters(kind())]
+        wrong = next((n for n in values if n not in known), name)
+        remedy = instead_of(wrong, known)
+        raise InputError(f"Effect `{name}` has no parameter `{wrong}`", "option --effect", remedy) from None
+    except ValueError as error:
+        raise InputError(str(error).rstrip("."), "option --effect", "give a value inside its domain") from None
 
 
 def effect_class(spec: EffectSpec) -> type[Effect]:

@@ -2,12 +2,15 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .._errors import InputError, instead_of
-from ._options import finite, given
+from ._options import EffectSpec, effect_spec, finite, given
 from ._setup import Clock, Outcome, Say
 from .fit import fitted
+
+if TYPE_CHECKING:
+    from .._effect import Effect
 
 WHERE = "option --objective"
 
@@ -35,10 +38,11 @@ def work(
     seconds: float | None,
     limit: dict[str, float],
     start: tuple[float, float, float],
+    payload: tuple[float, float] | None,
     say: Say,
 ) -> Outcome:
     """Design the next run of one case."""
-    from .._bed import bed, most_confusable
+    from .._bed import bed, most_confusable, require_strengths
     from .._discriminate import separate, sharpen
     from .._errors import FitError
     from .._files import write_whole
@@ -48,35 +52,33 @@ def work(
     from .._provenance import heading_json, provenance_json
     from .._ran import Driver
     from .._tuned import (
-        design_json,
         separation_json,
         separation_report,
         sharpening_json,
         sharpening_report,
         toml,
     )
-    from ..effects import LIBRARY
-    from .tune import gaits_of
+    from .tune import carried, gaits_of, payload_json
 
     effects, strengths = effects_of(options.objective)
     if isinstance(case, Preset) or options.set or options.saved:
         what = "What the next run should be follows from what the given ones leave open"
         raise InputError(what, WHERE, "name a recorded case, without --set and --from")
-    for name in effects or ():
-        if name not in LIBRARY:
-            raise InputError(f"There is no effect `{name}`", WHERE, instead_of(name, LIBRARY))
+    require_strengths(effects or ())
+    wanted, held, based = candidates(options, effects)
     clock = Clock()
     gaits, length = gaits_of(case)
     seconds = length if seconds is None else seconds
-    found, noise = fitted(options, case, say)
+    found, noise = fitted(based, case, say)
     limits = Limits.of(limit, reached_by(gaits, found.model, length) if gaits else None)
-    wanted = LIBRARY if effects is None else {name: LIBRARY[name] for name in effects}
+    payload, carrying = carried(payload, case)
     say("what the given runs say")
-    known = bed(found, {} if options.objective == "information" else {name: kind() for name, kind in wanted.items()})
+    known = bed(found, wanted, held)
     how = {
         "driver": Driver.of(gaits[0]) if gaits else Driver(),
         "given": [gait for gait in gaits if gait.phi_back is None],
         "start": start,
+        "payload": payload,
         "seed": options.seed,
         "rate": frame_rate(case.runs[0]),
         "progress": lambda done, total: say("designing", done, total),
@@ -84,19 +86,20 @@ def work(
     try:
         if options.objective == "information":
             design: Any = sharpen(known, limits, seconds, **how)
-            parts, text = sharpening_json(design), sharpening_report(case.name, design)
+            parts, text = sharpening_json(design, options.objective), sharpening_report(case.name, design, carrying)
         else:
             effects = most_confusable(known) if effects is None else effects
             design = separate(known, effects, limits, seconds, case.runs, strengths=strengths, **how)
-            parts, text = separation_json(design), separation_report(case.name, design)
+            parts = separation_json(design, options.objective)
+            text = separation_report(case.name, design, carrying)
     except FitError:
         raise
     except RuntimeError as error:
         raise FitError(str(error)) from None
     result = {
         **heading_json(case.name, found.model, noise, provenance_json(options.seed, given(options), case.sha256)),
-        **design_json(design.tuned, options.objective),
         **parts,
+        **payload_json(payload),
         "seconds": clock.seconds(),
     }
 
@@ -110,6 +113,37 @@ def work(
         plot.save(plot.designed(result), folder, "tune")
 
     return Outcome(clean(result), text, write)
+
+
+def candidates(
+    options: argparse.Namespace, effects: tuple[str, str] | None
+) -> "tuple[dict[str, Effect], set[str], argparse.Namespace]":
+    """The effects to tell apart, those of their parameters that are held, and the options of the board that is fitted.
+
+    An `--effect` that is one of the pair is a candidate, its values held; any other is on the board.
+    **Raises:** `InputError`.
+    """
+    from ..effects import LIBRARY
+    from ._models import built, effect_class
+
+    if effects is None:
+        all_ = {} if options.objective == "information" else {name: kind() for name, kind in LIBRARY.items()}
+        return all_, set(), options
+    texts = {text: effect_spec(text) for text in options.effect or ()}
+    own = {spec.name: spec for spec in texts.values() if spec.name in effects}
+    if len({spec.name for spec in texts.values()}) < len(options.effect or ()):
+        raise InputError("An effect is given twice", "option --effect", "give each once")
+    found, held = {}, set()
+    for name in effects:
+        if name not in own and name not in LIBRARY:
+            known = [*LIBRARY, *(spec.name for spec in texts.values())]
+            remedy = f"{instead_of(name, known)}; one of your own is named by --effect FILE.py:Class too"
+            raise InputError(f"There is no effect `{name}`", WHERE, remedy)
+        spec = own.get(name, EffectSpec(name, None, {}))
+        found[name] = built(name, effect_class(spec), spec.values)
+        held |= {f"effects.{name}.{part}" for part in spec.values}
+    rest = [text for text, spec in texts.items() if spec.name not in effects]
+    return found, held, argparse.Namespace(**{**vars(options), "effect": rest})
 
 
 def frame_rate(run: Any) -> float:

@@ -95,7 +95,6 @@ def work(
     say: Say,
 ) -> Outcome:
     """Sweep one case or preset over the combinations `wanted`, or the columns `asked` of a table."""
-    import equinox as eqx
     import numpy as np
 
     from .._cluster import cluster
@@ -119,9 +118,9 @@ def work(
     lines = {one.name: np.linspace(one.low, one.high, one.count) for one in wanted}
     axes = table(asked) if asked else grid(lines)
     model, axes = _prepared(options, subject, axes, say)
-    if run_ is not None and np.any(run_.payload):
-        # It fixes the yaw inertia, which otherwise follows mass and length as they are varied.
-        model = eqx.tree_at(lambda m: m.board, model, model.board.loaded(*run_.payload))
+    if run_ is not None:
+        # A payload fixes the yaw inertia, which otherwise follows mass and length as they are varied.
+        model = model.carrying(run_.payload)
     what = f"sweeping {' and '.join(axes.coordinates)}"
     how = {
         "folder": options.out and Path(options.out) / "pieces",

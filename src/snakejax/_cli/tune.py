@@ -62,6 +62,11 @@ def add(commands: Any) -> None:
         help="limits of the joints [rad, rad/s, rad/s^2]: phi, psi, phi_rate, psi_rate, phi_acceleration,"
         " psi_acceleration (default what the gaits of CASE reach in angle and rate)",
     )
+    command.add_argument(
+        "--payload",
+        metavar="KG[,KGM2]",
+        help="what the board carries: mass [kg] and yaw inertia [kg m^2] (default as the first run)",
+    )
     command.add_argument("--start", metavar="X,Y,HEADING", help="where the board starts [m, m, rad] (default 0,0,0)")
     command.add_argument(
         "--over",
@@ -76,7 +81,19 @@ def run(options: argparse.Namespace) -> int:
     seconds = None if options.seconds is None else finite(options.seconds, "option --seconds", f"`{options.seconds}`")
     limit = assignments(",".join(options.limit or ()), "option --limit")
     start = start_pose(options.start) or (0.0, 0.0, 0.0)
-    return each_case(options, lambda case, say: work(options, case, seconds, limit, start, say), presets=True)
+    payload = payload_of(options.payload)
+    return each_case(options, lambda case, say: work(options, case, seconds, limit, start, payload, say), presets=True)
+
+
+def payload_of(text: str | None) -> tuple[float, float] | None:
+    """`KG` or `KG,KGM2`. **Raises:** `InputError`."""
+    if text is None:
+        return None
+    where = "option --payload"
+    parts = [finite(part, where, f"`{text}`") for part in text.split(",")]
+    if len(parts) > 2 or min(parts) < 0:
+        raise InputError(f"`{text}` is no payload", where, "write mass in kg and yaw inertia in kg m^2, as in 2,0.01")
+    return parts[0], parts[1] if len(parts) == 2 else 0.0
 
 
 def objective(text: str) -> "Objective":
@@ -118,13 +135,14 @@ def work(
     seconds: float | None,
     limit: dict[str, float],
     start: tuple[float, float, float],
+    payload: tuple[float, float] | None,
     say: Say,
 ) -> Outcome:
     """Tune one case or preset."""
     if options.objective.partition(":")[0] in ("separate", "information"):
         from .separate import work as design
 
-        return design(options, subject, seconds, limit, start, say)
+        return design(options, subject, seconds, limit, start, payload, say)
     from .._errors import FitError
     from .._files import write_whole
     from .._json import clean
@@ -140,7 +158,9 @@ def work(
     preset = isinstance(subject, Preset)
     gaits, length = gaits_of(subject)
     seconds = length if seconds is None else seconds
-    models, over = boards(options, subject, say)
+    bare, over = boards(options, subject, say)
+    payload, carrying = carried(payload, subject)
+    models = [model.carrying(payload) for model in bare]
     limits = Limits.of(limit, reached_by(gaits, models[0], length) if gaits else None)
     try:
         found = tune(
@@ -162,6 +182,7 @@ def work(
     result = {
         **heading_json(subject.name, models[0], None, provenance),
         **tuned_json(found, options.objective, over),
+        **payload_json(payload),
         "seconds": clock.seconds(),
     }
 
@@ -174,7 +195,24 @@ def work(
         write_whole(folder / "tune.html", tune_page(clean(result)))
         plot.save(plot.tuned(result), folder, "tune")
 
-    return Outcome(clean(result), report(subject.name, options.objective, found, over), write)
+    return Outcome(clean(result), report(subject.name, options.objective, found, over, carrying), write)
+
+
+def carried(payload: tuple[float, float] | None, subject: Any) -> tuple[tuple[float, float], str]:
+    """The payload asked for, or else that of the first run; and what is said of it where any is carried."""
+    from .._presets import Preset
+
+    runs = () if isinstance(subject, Preset) else subject.runs
+    each = [(float(run_.payload[0]), float(run_.payload[1])) for run_ in runs]
+    mass, inertia = (each[0] if each else (0.0, 0.0)) if payload is None else payload
+    said = f", carrying {mass:g} kg and {inertia:g} kg m^2" if mass or inertia else ", carrying nothing"
+    as_run = f" as in {runs[0].name}" if payload is None and runs else ""
+    return (mass, inertia), f"{said}{as_run}" if any(any(one) for one in [*each, (mass, inertia)]) else ""
+
+
+def payload_json(payload: tuple[float, float]) -> dict[str, Any]:
+    """What the board carries, as JSON."""
+    return {"payload": {"mass_kg": payload[0], "inertia_kgm2": payload[1]}}
 
 
 def gaits_of(subject: Any) -> "tuple[list[Gait], float]":

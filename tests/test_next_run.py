@@ -1,0 +1,172 @@
+"""Tuning and designing by the command line, on a case whose first run carries a payload."""
+
+import importlib.util
+import json
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from heavy import BOARD, PAYLOAD, TYRE, laden, written
+
+from snakejax import (
+    Driver,
+    Gait,
+    Limits,
+    Model,
+    Pacejka,
+    Sines,
+    Tracked,
+    bed,
+    fit,
+    load_case,
+    separate,
+    simulate,
+)
+from snakejax import _discriminate as discriminate
+from snakejax import _task as task
+from snakejax._apart import certainty, information
+from snakejax._cli import main
+from snakejax._cli import tune as command
+from snakejax._errors import InputError
+from snakejax._tune import tune
+from snakejax._units import with_parameters
+from snakejax.effects import BodyDrag
+
+SECONDS = 1.5
+TYRE_GIVEN = ["--set", ",".join(f"{name}={value}" for name, value in TYRE.items())]
+OWN = ["--effect", "{spring}:CableSpring:x0=1"]
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory):
+    return written(tmp_path_factory.mktemp("laden") / "heavy-board")
+
+
+@pytest.fixture
+def told(case, tmp_path, monkeypatch, capsys):
+    """Tune by the command line, few guesses and short descents: its JSON, page and text."""
+    monkeypatch.setattr(task, "GUESSES", 12)
+    monkeypatch.setattr(command, "DRAWS", 3)
+    for name, value in (("STARTS", 1), ("MOST", 2)):
+        monkeypatch.setattr(discriminate, name, value)
+        monkeypatch.setitem(tune.__kwdefaults__, name.lower(), value)
+
+    def run(*options):
+        options = [option.format(spring=case.parent / "spring.py", cost=case.parent / "cost.py") for option in options]
+        asked = ["tune", str(case), "--seconds", str(SECONDS), "--out", str(tmp_path)]
+        assert main([*asked, *options]) == 0
+        found = json.loads((tmp_path / "tune.json").read_text())
+        page, gait = (tmp_path / "tune.html").read_text(), (tmp_path / "gait.toml").read_text()
+        assert f"phi = {found['gait']['phi']}" in gait and (tmp_path / "tune.png").stat().st_size > 10_000
+        return found, page, capsys.readouterr().out
+
+    return run
+
+
+def run_of(found, model):
+    """The poses of a told gait on `model`, simulated anew."""
+    gait = Gait(*(Tracked(Sines.of(found["gait"][joint]), 100.0, 10.0) for joint in ("phi", "psi")))
+    return np.asarray(simulate(model, gait, jnp.linspace(0.0, SECONDS, 151)).pose)
+
+
+@pytest.mark.parametrize(
+    ("options", "payload", "said"),
+    [
+        (["--json", "-"], PAYLOAD, None),
+        ([], PAYLOAD, "carrying 2 kg and 0.05 kg m^2 as in one"),
+        (["--payload", "3,0.1"], (3.0, 0.1), "carrying 3 kg and 0.1 kg m^2"),
+    ],
+)
+def test_the_board_carries_what_the_first_run_does_or_what_is_asked(told, options, payload, said) -> None:
+    """The end that is told is that of a board whose mass and inertia are those of board and payload together."""
+    found, page, text = told(*TYRE_GIVEN, "--objective", "{cost}:left", *options)
+    assert found["objective"] == pytest.approx(-run_of(found, laden(payload=payload))[-1, 1], abs=1e-6)
+    assert found["payload"] == {"mass_kg": payload[0], "inertia_kgm2": payload[1]}
+    assert f"carrying {payload[0]:g} kg and {payload[1]:g} kg m^2" in page
+    assert json.loads(text) == found if said is None else said in " ".join(text.split())
+
+
+def test_a_payload_is_said_where_any_run_has_one(case) -> None:
+    read = load_case(case)
+    assert command.carried((0.0, 0.0), read) == ((0.0, 0.0), ", carrying nothing")
+    empty = eqx.tree_at(lambda c: c.runs[0].payload, read, jnp.zeros(2))
+    assert command.carried(None, empty) == ((0.0, 0.0), "")
+    assert command.payload_of("2") == (2.0, 0.0) and command.payload_of(None) is None
+    for text in ("1,2,3", "-1", "x"):
+        with pytest.raises(InputError, match=r"payload|number"):
+            command.payload_of(text)
+
+
+@pytest.mark.parametrize("over", ["mean", "worst"])
+def test_a_gait_for_draws_from_the_fit_does_on_them_what_is_said(told, over) -> None:
+    """Two seconds leave B and C open."""
+    found, *_ = told("--over", over)
+    assert found["over"] == over and len(found["spread"]) == 3 and np.ptp(found["spread"]) > 0
+    assert min(found["spread"]) <= found["objective"] * 1.5 and found["before"]["objective"] > 0
+
+
+def test_an_effect_of_ones_own_is_told_from_another(told) -> None:
+    """Its parameter with a value is held: only the other one has a strength."""
+    found, page, _ = told("--model", "rayleigh", "--objective", "separate:cable_spring,body_drag", *OWN)
+    part = found["separate"]
+    assert set(part["strengths"]) == {"effects.cable_spring.k", "effects.body_drag.c"}
+    assert part["before"] == pytest.approx(0.7, abs=0.01) and part["after"] == found["objective"] > part["before"]
+    assert found["before"]["objective"] <= found["objective"] and "cable_spring" in page
+    assert found["payload"] == dict(zip(("mass_kg", "inertia_kgm2"), PAYLOAD, strict=True))
+
+
+def test_the_two_that_look_most_alike_are_found_and_a_run_about_the_tyre(told) -> None:
+    alike, *_ = told("--model", "rayleigh", "--objective", "separate")
+    assert len(set(alike["separate"]["effects"])) == 2 and alike["separate"]["after"] > alike["separate"]["before"]
+    sharper, *_ = told("--model", "rayleigh", "--objective", "information")
+    sds = sharper["information"]
+    assert sharper["objective"] == pytest.approx(sds["sd_after"]["tyre.k_s"] / sds["sd_before"]["tyre.k_s"])
+    assert sharper["objective"] <= sharper["before"]["objective"] < 1
+
+
+def test_a_design_counts_what_the_laden_board_would_do(case) -> None:
+    """Against differences of simulations of a board whose mass and inertia are those of board and payload."""
+    loaded = load_case(case)
+    description = importlib.util.spec_from_file_location("cable", case.parent / "spring.py")
+    module = importlib.util.module_from_spec(description)
+    description.loader.exec_module(module)
+    found = fit(Model(loaded.board, Pacejka(**TYRE), "free"), loaded.runs, loaded.noise, ["tyre.D"])
+    effects = {"cable": module.CableSpring(x0=1.0), "body_drag": BodyDrag()}
+    known = bed(found, effects, ["effects.cable.x0"])
+    limits = Limits.of({"phi": 0.9, "psi": 1.6, "phi_rate": 4.0, "psi_rate": 6.5})
+    how = dict(starts=1, most=1, driver=Driver(100.0, 10.0), payload=PAYLOAD)
+    design = separate(known, ("cable", "body_drag"), limits, SECONDS, loaded.runs, **how)
+
+    steps = {"tyre.D": 0.01, "effects.cable.k": 1e-3, "effects.body_drag.c": 1e-3}
+    base = laden(found.model.tyre).add(**effects)
+    D = float(found.model.tyre.D)
+    moved = [base] + [
+        with_parameters(base, {name: D * np.exp(step) if name == "tyre.D" else step}) for name, step in steps.items()
+    ]
+    poses = jnp.stack([jnp.asarray(run_of({"gait": design.tuned.terms()}, model)) for model in moved])
+    mine = np.asarray(information(poses, jnp.asarray([*steps.values()]), jnp.asarray(known.weight)))
+    assert known.names == tuple(steps)
+    pair = known.pair("cable", "body_drag")
+    assert design.after == pytest.approx(certainty(known.G + mine, pair), abs=0.01)
+    light = [Model(BOARD, model.tyre, "free", model.effects) for model in moved]
+    poses = jnp.stack([jnp.asarray(run_of({"gait": design.tuned.terms()}, model)) for model in light])
+    less = np.asarray(information(poses, jnp.asarray([*steps.values()]), jnp.asarray(known.weight)))
+    assert np.abs(less / mine - 1).max() > 0.1
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        (["--objective", "separate:lateral_skid,body_drag"], "a change of structure"),
+        (["--objective", "separate:cable_sprin,body_drag", *OWN], 'write "cable_spring"'),
+        (["--objective", "separate:cable_spring,body_drag", *OWN, *OWN], "given twice"),
+        (["--objective", "separate:cable_spring,body_drag", "--effect", OWN[1] + ",k=1"], "are held"),
+        (["--objective", "separate:cable_spring,body_drag", "--effect", OWN[1][:-5]], "do not show `x0`"),
+    ],
+)
+def test_what_cannot_be_told_apart_is_said_in_one_line(case, options, why, capsys) -> None:
+    options = [option.format(spring=case.parent / "spring.py") for option in options]
+    assert main(["tune", str(case), "--model", "rayleigh", "--quiet", *options]) == 2
+    said = capsys.readouterr().err
+    assert why in said and said.count("\n") == 1 and "Traceback" not in said
