@@ -134,7 +134,7 @@ def _failing(model: Played) -> Chart:
     }
     layout = axes("time [s]", "", yaxis={"autorange": "reversed", "automargin": True})
     label = f"The misfit of each run over time, {model.label}."
-    return Chart(f"failing-{model.key}", label, (trace,), layout, 150 + 30 * len(names), None, model.key)
+    return Chart(f"failing-{model.key}", label, (trace,), layout, 150 + 36 * len(names), None, model.key)
 
 
 def against(models: Sequence[Played], variable: str, title: str, circular: bool = False) -> Chart:
