@@ -133,11 +133,15 @@ def test_an_effect_of_ones_own_is_told_from_another_on_the_laden_board(told, cas
     assert part["after"] == pytest.approx(certainty(known.G + mine, pair), abs=0.01)
 
 
-def test_the_two_that_look_most_alike_are_found_and_a_run_about_the_tyre(told, monkeypatch) -> None:
+@pytest.mark.slow
+def test_the_two_that_look_most_alike_are_found(told, monkeypatch) -> None:
     few = {name: effects.LIBRARY[name] for name in ("body_drag", "longitudinal_slip", "yaw_damping")}
     monkeypatch.setattr(effects, "LIBRARY", few)
     alike, *_ = told("--model", "rayleigh", "--objective", "separate")
     assert set(alike["separate"]["effects"]) < set(few) and alike["separate"]["after"] > alike["separate"]["before"]
+
+
+def test_a_run_says_more_about_the_tyre(told) -> None:
     sharper, *_ = told("--model", "rayleigh", "--objective", "information")
     sds = sharper["information"]
     assert sharper["objective"] == pytest.approx(sds["sd_after"]["tyre.k_s"] / sds["sd_before"]["tyre.k_s"])
