@@ -123,6 +123,7 @@ def candidates(
     An `--effect` that is one of the pair is a candidate, its values held; any other is on the board.
     **Raises:** `InputError`.
     """
+    from .._units import parameters
     from ..effects import LIBRARY
     from ._models import built, effect_class
 
@@ -141,6 +142,8 @@ def candidates(
             raise InputError(f"There is no effect `{name}`", WHERE, remedy)
         spec = own.get(name, EffectSpec(name, None, {}))
         found[name] = built(name, effect_class(spec), spec.values)
+        if len(spec.values) == len(parameters(found[name])) > 0:
+            raise InputError(f"All parameters of `{name}` are held", "option --effect", "leave one without a value")
         held |= {f"effects.{name}.{part}" for part in spec.values}
     rest = [text for text, spec in texts.items() if spec.name not in effects]
     return found, held, argparse.Namespace(**{**vars(options), "effect": rest})

@@ -18,7 +18,7 @@ ENOUGH = 0.95
 def tune_page(result: Json) -> str:
     """The report of `snakejax tune`: path, joints within their limits, what it achieves, what a design would tell."""
     told = f"{result['case']}: {_achieved(result)}"
-    mass, inertia = (result["payload"][key] for key in ("mass_kg", "inertia_kgm2"))
+    mass, inertia = (result.get("payload", {}).get(key, 0.0) for key in ("mass_kg", "inertia_kgm2"))
     load = f", carrying {mass:g} kg and {inertia:g} kg m^2" if mass or inertia else ""
     facts = (f"{result['asked']} in {result['duration_s']:g} s from rest, at {result['start']}{load}.",)
     sections = [_gait(result), *([_design(result)] if "separate" in result or "information" in result else [])]
