@@ -8,7 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from small import small
 
+from snakejax._approach import unsound
 from snakejax._board import TABLE_II, Board
 from snakejax._case import load_case
 from snakejax._errors import FitError, InputError
@@ -276,3 +278,14 @@ def test_no_train_run(design):
 def test_more_free_than_the_study_holds(design):
     with pytest.raises(ValueError, match="At most 4 parameters"):
         design.study.fit(TRUTH, [*TYRE, "board.wheelset_inertia"], RUNS)
+
+
+def test_derivatives_that_are_not_those_of_the_simulation_are_noticed() -> None:
+    """Against the simulation itself: they hold where the fit ended, and not when they are larger."""
+    found = small()[2]
+    optimum, train = found.optimum, found.study.numbered("train")
+    assert unsound(found.study, optimum, train) is None
+    J = optimum.linearised.jacobian
+    for wrong in (1e12 * J, 1e4 * J, -1e4 * J):
+        other = optimum._replace(linearised=optimum.linearised._replace(jacobian=wrong))
+        assert unsound(found.study, other, train) == "tyre.D"

@@ -10,6 +10,8 @@ from ._least_squares import domains_of
 from ._study import Optimum, Study
 from ._windows import LENGTH, Windows
 
+TOLD, LONGEST = 3.0, 0.01
+"""A step that tells whether derivatives hold moves all residuals by so many standard deviations; and its longest."""
 HORIZONS = (1.5, 4.0)
 """The first seconds [s] on which a fit finds its way before it takes whole runs: errors have not grown there yet."""
 GOOD_START = 1.1
@@ -89,6 +91,30 @@ def require_sensitive(study: Study, values: Mapping[str, float], free: Sequence[
     for name, size in zip(free, sizes, strict=True):
         if not size > 1e-9:
             raise FitError(f"Parameter `{name}` moves nothing in these runs, so it cannot be fitted: leave it fixed.")
+
+
+def unsound(study: Study, optimum: Optimum, runs: Sequence[int]) -> str | None:
+    """A parameter by which the derivatives are not those of the simulation, if there is one.
+
+    Where a stiff simulation steps at the limit of its stability it is right, but its derivatives may grow without
+    bound, and a fit would seem as sure. So a step that should move the residuals by `TOLD` is taken, and must do so.
+    """
+    before = optimum.linearised.residual[list(runs)]
+    for row, (name, domain) in enumerate(zip(optimum.free, domains_of(study.model, optimum.free), strict=True)):
+        if name in optimum.held:
+            continue
+        column = optimum.linearised.jacobian[list(runs)][..., row]
+        step = TOLD / max(float(np.sqrt((column**2).sum())), TOLD / LONGEST)
+        value = optimum.values[name]
+        there = value * np.exp(step) if domain.multiplicative else value + step
+        if not domain.low <= there <= domain.high:
+            step = -step
+            there = value * np.exp(step) if domain.multiplicative else value + step
+        at = study.at({**optimum.values, name: float(there)}, (), optimum.start)
+        change = study.evaluate(at, runs).residual[list(runs)] - before
+        if not np.sqrt(((change - step * column) ** 2).sum()) < TOLD / 2:
+            return name
+    return None
 
 
 def require_sound(study: Study, optimum: Optimum, runs: Sequence[int]) -> Optimum:

@@ -5,8 +5,8 @@ from collections.abc import Callable, Mapping, Sequence
 import equinox as eqx
 import numpy as np
 
-from ._approach import approach, least, require_sound, shot
-from ._errors import InputError
+from ._approach import approach, least, require_sound, shot, unsound
+from ._errors import FitError, InputError
 from ._estimates import Estimate, advice, combined, estimated
 from ._misfit import RunScore, Score, pooled, run_scores
 from ._model import Model
@@ -14,6 +14,8 @@ from ._recording import Noise, Run
 from ._starting import chosen, default_free
 from ._study import Optimum, Study
 
+SHARPENED = 2
+"""So many times a fit is taken up with sharper simulations, where they keep it from its end."""
 LACKING = 50.0
 """Above this misfit of whole runs the fit is tried once more from where windows lead it."""
 
@@ -91,11 +93,19 @@ def fit_study(
     optimum = study.fit(best.values, free, train, best.start, threshold=threshold)
     if not optimum.misfit < LACKING and free:
         optimum = least(optimum, shot(study, free, train, threshold, progress))
-    if not optimum.converged and optimum.misfit < LACKING:
-        progress("fitting whole runs more accurately")
-        study = study.sharper()
-        optimum = study.fit(optimum.values, free, train, optimum.start, threshold=threshold)
-    return described(study, require_sound(study, optimum, train))
+    for sharpened in range(SHARPENED + 1):
+        require_sound(study, optimum, train)
+        wild = unsound(study, optimum, train) if optimum.misfit < LACKING else None
+        if wild is None and (optimum.converged or not optimum.misfit < LACKING):
+            break
+        if sharpened < SHARPENED:
+            progress("fitting whole runs more accurately")
+            study = study.sharper()
+            optimum = study.fit(optimum.values, free, train, optimum.start, threshold=threshold)
+        elif wild is not None:
+            value = optimum.values[wild]
+            raise FitError(f"At {wild} = {value:.3g} the runs are too stiff for sound derivatives: leave it fixed.")
+    return described(study, optimum)
 
 
 def judged(study: Study, values: Mapping[str, float], role: str = "heldout") -> Optimum | None:
