@@ -27,7 +27,7 @@ from snakejax._cli import tune as command
 from snakejax._cli._models import effect_class
 from snakejax._cli._options import effect_spec
 from snakejax._errors import InputError
-from snakejax._fit import starting_tyre
+from snakejax._starting import starting_tyre
 from snakejax._tune import tune
 from snakejax._units import with_parameters
 from snakejax.effects import BodyDrag

@@ -100,8 +100,11 @@ def fit_study(
             break
         if sharpened < SHARPENED:
             progress("fitting whole runs more accurately")
-            study = study.sharper()
-            optimum = study.fit(optimum.values, free, train, optimum.start, threshold=threshold)
+            finer = study.sharper()
+            again = finer.fit(optimum.values, free, train, optimum.start, threshold=threshold)
+            if wild is None and not np.isfinite(again.misfit):
+                break
+            study, optimum = finer, again
         elif wild is not None:
             value = optimum.values[wild]
             raise FitError(f"At {wild} = {value:.3g} the runs are too stiff for sound derivatives: leave it fixed.")

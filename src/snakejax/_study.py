@@ -81,7 +81,8 @@ class Study(eqx.Module):
 
     def sharper(self) -> "Study":
         """This study with simulations of a 30th of the error, where their roughness keeps a fit from its end."""
-        finer = dataclasses.replace(self.accuracy, rtol=self.accuracy.rtol / 30, atol=self.accuracy.atol / 30)
+        now = self.accuracy
+        finer = dataclasses.replace(now, rtol=now.rtol / 30, atol=now.atol / 30, max_steps=4 * now.max_steps)
         return dataclasses.replace(self, accuracy=finer)
 
     def numbered(self, role: str) -> list[int]:
