@@ -15,7 +15,7 @@ from ._starting import chosen, default_free
 from ._study import Optimum, Study
 
 SHARPENED = 2
-"""So many times a fit is taken up with sharper simulations, where they keep it from its end."""
+"""So many times a fit is taken up with sharper simulations, where its derivatives are not theirs."""
 LACKING = 50.0
 """Above this misfit of whole runs the fit is tried once more from where windows lead it."""
 
@@ -94,21 +94,16 @@ def fit_study(
     if not optimum.misfit < LACKING and free:
         optimum = least(optimum, shot(study, free, train, threshold, progress))
     for sharpened in range(SHARPENED + 1):
-        require_sound(study, optimum, train)
-        wild = unsound(study, optimum, train) if optimum.misfit < LACKING else None
-        if wild is None and (optimum.converged or not optimum.misfit < LACKING):
+        wild = unsound(study, require_sound(study, optimum, train), train) if optimum.misfit < LACKING else None
+        if wild is None:
             break
-        if sharpened < SHARPENED:
-            progress("fitting whole runs more accurately")
-            finer = study.sharper()
-            again = finer.fit(optimum.values, free, train, optimum.start, threshold=threshold)
-            if wild is None and not np.isfinite(again.misfit):
-                break
-            study, optimum = finer, again
-        elif wild is not None:
+        if sharpened == SHARPENED:
             value = optimum.values[wild]
             raise FitError(f"At {wild} = {value:.3g} the runs are too stiff for sound derivatives: leave it fixed.")
-    return described(study, optimum)
+        progress("fitting whole runs more accurately")
+        study = study.sharper()
+        optimum = study.fit(optimum.values, free, train, optimum.start, threshold=threshold)
+    return described(study, require_sound(study, optimum, train))
 
 
 def judged(study: Study, values: Mapping[str, float], role: str = "heldout") -> Optimum | None:

@@ -80,7 +80,7 @@ class Study(eqx.Module):
         return Study(model, tuple(runs), noise, tuple(names), width, batch(runs, noise), accuracy)
 
     def sharper(self) -> "Study":
-        """This study with simulations of a 30th of the error, where their roughness keeps a fit from its end."""
+        """This study with simulations of a 30th of the error, where derivatives at the present one are not sound."""
         now = self.accuracy
         finer = dataclasses.replace(now, rtol=now.rtol / 30, atol=now.atol / 30, max_steps=4 * now.max_steps)
         return dataclasses.replace(self, accuracy=finer)
