@@ -21,9 +21,10 @@ from snakejax._model import Model, no_traction
 from snakejax._profile import profile
 from snakejax._recording import Noise, Run
 from snakejax._simulate import Accuracy, simulate
-from snakejax._starting import chosen, starting_model, with_values
+from snakejax._starting import chosen, starting_model
 from snakejax._study import Optimum, Study
 from snakejax._tyre import Pacejka, Rayleigh
+from snakejax._units import with_parameters
 from snakejax.effects import LongitudinalSlip
 
 LEVEL = Path(__file__).resolve().parents[1] / "data" / "level-board"
@@ -50,7 +51,7 @@ class Design(NamedTuple):
     def poses(self, **tyre: float) -> np.ndarray:
         """What the runs would be without noise, (2, n, 3), at the truth but for what `tyre` says."""
         values = {**TRUTH, **{f"tyre.{name}": value for name, value in tyre.items()}}
-        return np.asarray(_poses(with_values(self.study.model, values), self.study.batch.gait))
+        return np.asarray(_poses(with_parameters(self.study.model, values), self.study.batch.gait))
 
     def recorded(self, poses: np.ndarray, seed: int) -> Study:
         """The study of `poses` under noise; the starts are guessed from what is seen."""
@@ -72,7 +73,7 @@ def _poses(model, gaits):
 @pytest.fixture(scope="module")
 def design() -> Design:
     """Built once, so that every fit below runs the same compiled program."""
-    model = with_values(Model(BOARD, Pacejka(1.0, 1.0, 1.0, 0.0), "coupled"), TRUTH)
+    model = with_parameters(Model(BOARD, Pacejka(1.0, 1.0, 1.0, 0.0), "coupled"), TRUTH)
     runs = [
         Run(name, "train", jnp.asarray(TIMES), jnp.zeros((TIMES.size, 3)), Gait(*(_tracked(terms) for terms in gait)))
         for name, gait in GAITS.items()
@@ -258,7 +259,7 @@ def test_a_parameter_that_moves_nothing_is_named(design):
     with pytest.raises(FitError, match=r"`board\.wheelset_inertia` moves nothing") as raised:
         fit_study(study, ["tyre.D", "board.wheelset_inertia"])
     assert "\n" not in str(raised.value)
-    idle = eqx.tree_at(lambda s: s.model.tyre, study, with_values(study.model, {"D": 0.0}).tyre)
+    idle = eqx.tree_at(lambda s: s.model.tyre, study, with_parameters(study.model, {"tyre.D": 0.0}).tyre)
     with pytest.raises(FitError, match=r"`tyre\.B` moves nothing"):
         fit_study(idle, ["tyre.B"])
 

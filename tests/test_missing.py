@@ -57,7 +57,7 @@ def made(skid: str = "free", **effects) -> Case:
 
 
 def searched(case: Case) -> Missing:
-    bench = Bench.of(structures(case, "pacejka", None)[0][1], case, case.noise, {"yaw_bias": LIBRARY["yaw_bias"]()})
+    bench = Bench.of(structures(case, "pacejka", None)[0], case, case.noise, {"yaw_bias": LIBRARY["yaw_bias"]()})
     return missing_force(bench, Step((), SimpleNamespace(values=bench.study.values(), misfit=np.inf)))
 
 
@@ -148,7 +148,7 @@ def test_the_starter_loads_and_is_neutral_at_its_default(name, tmp_path):
 def test_what_a_recording_hides_is_named(recordings, board, variable):
     """`board-j` hides a spring of 0.15 N/m to (0.5, 0.8) m, `board-d` a grip that falls with the rotor's rate."""
     case = load_case(recordings / board)
-    bench = Bench.of(structures(case, "pacejka", None)[0][1], case, case.noise, {n: k() for n, k in LIBRARY.items()})
+    bench = Bench.of(structures(case, "pacejka", None)[0], case, case.noise, {n: k() for n, k in LIBRARY.items()})
     found = missing_force(bench, Step((), SimpleNamespace(values=bench.study.values(), misfit=np.inf)))
     assert found.depends_on[0][0] == variable
     assert found.depends_on[0][1] > max(0.6, found.depends_on[1][1] + 0.1)

@@ -95,13 +95,10 @@ def align(found: Fit) -> tuple[tuple[Run, ...], float]:
             continue
         joint = _linear(study, optimum, study.numbered(role), found.optimum)
         step, errors = joint.step(optimum.linearised.residual), np.sqrt(np.diag(joint.covariance)) * spread(optimum)
-        place = iter(range(joint.count))
-        for k in study.numbered(role):
-            mine = {name: next(place) for name in _free(study.runs[k])}
-            if mine:
-                steps, sds = ({name: float(part[j]) for name, j in mine.items()} for part in (step, errors))
-                runs[k] = _moved(study.runs[k], steps, sds)
-                moved = max(moved, *(abs(steps[name]) / sds[name] for name in mine))
+        sds_of = joint.by_clock(study.runs, errors)
+        for k, steps in joint.by_clock(study.runs, step).items():
+            runs[k] = _moved(study.runs[k], steps, sds_of[k])
+            moved = max(moved, *(abs(steps[name]) / sd for name, sd in sds_of[k].items()))
     return tuple(runs), moved
 
 
@@ -121,11 +118,11 @@ def _with_log_errors(found: Fit) -> Fit:
 
 
 def _set_errors(runs: list[Run], joint: "_Linear", errors: np.ndarray) -> None:
-    place = iter(range(joint.count))
-    for k in joint.numbers:
-        mine = {f"{name}_sd": float(errors[next(place)]) for name in _free(runs[k])}
-        if mine and (log := runs[k].log) is not None:
-            runs[k] = dataclasses.replace(runs[k], log=log._replace(**mine))
+    for k, sds in joint.by_clock(runs, errors).items():
+        log = runs[k].log
+        assert log is not None
+        named = {f"{name}_sd": sd for name, sd in sds.items()}
+        runs[k] = dataclasses.replace(runs[k], log=log._replace(**named))
 
 
 def _free(run: Run) -> tuple[str, ...]:
@@ -166,6 +163,11 @@ class _Linear(NamedTuple):
         """The Gauss-Newton step that `residual` asks for."""
         parts = zip(self.numbers, self.columns, strict=True)
         return -self.inverse @ sum(part[:, : self.moving].T @ np.asarray(residual[k]).reshape(-1) for k, part in parts)
+
+    def by_clock(self, runs: Sequence[Run], values: Float[np.ndarray, " m"]) -> dict[int, dict[str, float]]:
+        """The first of `values` as they belong to the free clocks: by the number of the run, and by name."""
+        place = iter(values)
+        return {k: {name: float(next(place)) for name in names} for k in self.numbers if (names := _free(runs[k]))}
 
     def scatter(self, study: Study, optimum: Optimum) -> Float[np.ndarray, "m m"]:
         """The covariance of the steps that noise in the logs brings."""

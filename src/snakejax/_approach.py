@@ -106,11 +106,8 @@ def unsound(study: Study, optimum: Optimum, runs: Sequence[int]) -> str | None:
         column = optimum.linearised.jacobian[list(runs)][..., row]
         step = TOLD / max(float(np.sqrt((column**2).sum())), TOLD / LONGEST)
         value = optimum.values[name]
-        there = value * np.exp(step) if domain.multiplicative else value + step
-        if not domain.low <= there <= domain.high:
-            step = -step
-            there = value * np.exp(step) if domain.multiplicative else value + step
-        at = study.at({**optimum.values, name: float(there)}, (), optimum.start)
+        step = step if domain.low <= domain.moved(value, step) <= domain.high else -step
+        at = study.at({**optimum.values, name: domain.moved(value, step)}, (), optimum.start)
         change = study.evaluate(at, runs).residual[list(runs)] - before
         if not np.sqrt(((change - step * column) ** 2).sum()) < TOLD / 2:
             return name

@@ -105,8 +105,7 @@ class Bed(NamedTuple):
         known, found = parameters(self.model), []
         for k in self.used(pair):
             value, domain = float(known[self.names[k]].value), known[self.names[k]].domain
-            there = value * np.exp(sizes[k]) if domain.multiplicative else value + sizes[k]
-            found.append(sizes[k] if domain.low <= there <= domain.high else -sizes[k])
+            found.append(sizes[k] if domain.low <= domain.moved(value, sizes[k]) <= domain.high else -sizes[k])
         return np.array(found)
 
     def boards(self, pair: Pair | None, model: Model | None = None) -> list[Model]:
@@ -115,8 +114,7 @@ class Bed(NamedTuple):
         known, made = parameters(base), [base]
         for k, step in zip(self.used(pair), self.steps(pair), strict=True):
             value, domain = float(known[self.names[k]].value), known[self.names[k]].domain
-            there = value * np.exp(step) if domain.multiplicative else value + step
-            made.append(with_parameters(base, {self.names[k]: there}))
+            made.append(with_parameters(base, {self.names[k]: domain.moved(value, step)}))
         return made
 
     def restricted(self, pair: Pair | None) -> "tuple[np.ndarray, Pair | None]":

@@ -93,9 +93,9 @@ class Step(NamedTuple):
     optimum: Optimum
 
 
-def structures(case: Case, kind: str, skid: str | None) -> list[tuple[str, Model]]:
+def structures(case: Case, kind: str, skid: str | None) -> list[Model]:
     """The models a diagnosis of `case` considers: the base, and `free` where the base is `coupled`."""
     model = starting_model(case, kind, skid)
     if isinstance(model.skid, Coupled):
-        return [("", model), (LATERAL_SKID, Model(model.board, model.tyre, "free", model.effects))]
-    return [("", model)]
+        return [model, Model(model.board, model.tyre, "free", model.effects)]
+    return [model]

@@ -206,7 +206,7 @@ def _gaits(joints: list[_Joints], gains: dict[str, float] | None) -> list[Gait]:
 
 def _opposite(signal: Sines | Logged) -> Sines | Logged:
     if isinstance(signal, Logged):
-        return Logged(signal.knots, -signal.coefficients, signal.noise, signal.strength)
+        return dataclasses.replace(signal, coefficients=-signal.coefficients)
     return Sines(-signal.amplitude, signal.frequency, signal.phase)
 
 

@@ -47,13 +47,13 @@ def diagnose(case: Case, noise: Noise, library: Mapping[str, Effect], **question
     with_, progress = question.get("with_", ()), question.get("progress", silent)
     options = structures(case, question.get("kind", "pacejka"), question.get("skid"))
     options = options[: 2 if question.get("switch", True) else 1]
-    bench = Bench.of(options[0][1], case, noise, library)
+    bench = Bench.of(options[0], case, noise, library)
     step = Step(tuple(with_), base_fit(bench, with_, progress))
     ranking = tuple(rank(bench, step, progress=progress))
     switched = None
     if len(options) > 1:
         progress(f"refitting with {LATERAL_SKID}")
-        other = Bench.of(options[1][1], case, noise, library, switched=True)
+        other = Bench.of(options[1], case, noise, library, switched=True)
         there = Step(step.effects, base_fit(other, with_, progress))
         ranking = placed(ranking, Ranked(LATERAL_SKID, None, None, there.optimum, (), None))
         switched = (other, there)

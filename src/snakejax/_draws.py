@@ -39,8 +39,7 @@ def draws(
     def moved(step: np.ndarray) -> dict[str, float]:
         there = dict(best.values)
         for name, domain, move in zip(names, domains, step, strict=True):
-            value = there[name] * np.exp(move) if domain.multiplicative else there[name] + move
-            there[name] = float(np.clip(value, domain.low, domain.high))
+            there[name] = float(np.clip(domain.moved(there[name], move), domain.low, domain.high))
         return there
 
     def likely(there: dict[str, float]) -> bool:

@@ -169,8 +169,7 @@ class Drive(eqx.Module):
             [np.clip(s, -1.0, 1.0) if d.multiplicative else s for s, d in zip(post.step, domains, strict=True)]
         )
         values = [
-            np.clip(v * np.exp(share * s) if d.multiplicative else v + share * s, d.low, d.high)
-            for v, s, d in zip(point.values, step, domains, strict=True)
+            np.clip(d.moved(v, share * s), d.low, d.high) for v, s, d in zip(point.values, step, domains, strict=True)
         ]
         start, free_start = point.start.copy(), np.asarray(self.batch.free_start)
         for k, window in enumerate(windows):

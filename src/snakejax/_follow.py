@@ -86,17 +86,18 @@ def _together(bench, step, ranking, progress) -> list[tuple[str, Step, tuple[Ran
 def _settled_without(bench: Bench, step: Step, rest: Sequence[str]) -> Optimum:
     """The fit with the effects `rest` alone, from where that of `step` ended; taken up again where it is on its way."""
     found = refit(bench, rest, step.optimum.values, step.optimum.start)
-    if found.converged or not found.misfit < NEARLY:
-        return found
-    return least(found, bench.study.fit(found.values, bench.free(rest), bench.train, found.start))
+    return found if found.converged or not found.misfit < NEARLY else _further(bench, rest, found)
+
+
+def _further(bench: Bench, effects: Sequence[str], found: Optimum) -> Optimum:
+    """The fit with `effects`, taken up again where it was `found`."""
+    return least(found, bench.study.fit(found.values, bench.free(effects), bench.train, found.start))
 
 
 def _polished(bench: Bench, step: Step, progress) -> Step:
     """`step`, or a better optimum of the same model where it ended near the noise but not in it, or on the way."""
     if only_noise(step.optimum) and not step.optimum.converged:
-        ended = step.optimum
-        further = bench.study.fit(ended.values, bench.free(step.effects), bench.train, ended.start)
-        step = Step(step.effects, least(further, ended))
+        step = Step(step.effects, _further(bench, step.effects, step.optimum))
     if (only_noise(step.optimum) and step.optimum.converged) or not step.optimum.misfit < HOPELESS:
         return step
     again = fresh_fit(bench, step.effects, step.optimum.values, progress)

@@ -1,7 +1,8 @@
 """Gaits: what the joints do over time, in closed form or from a log, with both derivatives."""
 
 import abc
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -89,7 +90,8 @@ class Logged(AbstractSignal):
         """The same signal on a clock that shows t where that of the knots shows t (1 + drift) + offset [s]."""
         pace = 1 + drift
         powers = jnp.stack([pace**k for k in (3, 2, 1, 0)])
-        return Logged((self.knots - offset) / pace, self.coefficients * powers[:, None], self.noise, self.strength)
+        moved = (self.knots - offset) / pace, self.coefficients * powers[:, None]
+        return dataclasses.replace(self, knots=moved[0], coefficients=moved[1])
 
     def padded(self, samples: int) -> "Logged":
         """The same signal with `samples` knots, the new ones after its end, where it stays."""
@@ -99,7 +101,7 @@ class Logged(AbstractSignal):
         d, (c3, c2, c1, c0) = self.knots[-1] - self.knots[-2], self.coefficients[:, -1]
         stay = jnp.zeros((4, extra)).at[3].set(((c3 * d + c2) * d + c1) * d + c0)
         knots = jnp.concatenate([self.knots, self.knots[-1] + jnp.arange(1.0, extra + 1)])
-        return Logged(knots, jnp.concatenate([self.coefficients, stay], axis=1), self.noise, self.strength)
+        return dataclasses.replace(self, knots=knots, coefficients=jnp.concatenate([self.coefficients, stay], axis=1))
 
     def at(self, t: Scalar) -> Joint:
         inside = (t >= self.knots[0]) & (t <= self.knots[-1])
@@ -192,10 +194,15 @@ class Gait(eqx.Module):
     phi_back: AbstractSignal | None = None
 
 
-def on_clock(gait: Gait, offset: Scalar, drift: Scalar) -> Gait:
-    """`gait` with its logs on a clock that shows t where theirs shows t (1 + drift) + offset [s]; all else as it is."""
+def with_logs(gait: Gait, change: Callable[[Logged], Logged]) -> Gait:
+    """`gait` with a `change` of each of its logs, and all else as it is."""
     return jax.tree.map(
-        lambda part: part.on_clock(offset, drift) if isinstance(part, Logged) else part,
+        lambda part: change(part) if isinstance(part, Logged) else part,
         gait,
         is_leaf=lambda part: isinstance(part, Logged),
     )
+
+
+def on_clock(gait: Gait, offset: Scalar, drift: Scalar) -> Gait:
+    """`gait` with its logs on a clock that shows t where theirs shows t (1 + drift) + offset [s]; all else as it is."""
+    return with_logs(gait, lambda log: log.on_clock(offset, drift))

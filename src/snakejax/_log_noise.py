@@ -8,12 +8,11 @@ from collections.abc import Iterator
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from ._batch import stacked_gaits
-from ._gait import Gait, Logged
+from ._gait import Gait, Logged, with_logs
 from ._study import Optimum, Study
 from .quality import splined
 
@@ -22,7 +21,8 @@ DRAWS = 40
 
 def is_noisy(gait: Gait) -> bool:
     """Whether a log of `gait` had noise."""
-    return any(float(log.noise) > 0 for log in _logs(gait))
+    parts = jax.tree.leaves(gait, is_leaf=lambda part: isinstance(part, Logged))
+    return any(isinstance(part, Logged) and float(part.noise) > 0 for part in parts)
 
 
 def redrawn(gait: Gait, rng: np.random.Generator) -> Gait:
@@ -30,16 +30,15 @@ def redrawn(gait: Gait, rng: np.random.Generator) -> Gait:
     the motion away too.
     """
 
-    def again(part):
-        if not isinstance(part, Logged) or not float(part.noise) > 0:
-            return part
-        times = np.asarray(part.knots)
-        c, last = np.asarray(part.coefficients), times[-1] - times[-2]
-        angles = np.append(c[3], np.polyval(c[:, -1], last))
-        seen = angles + float(part.noise) * rng.normal(size=times.size)
-        return Logged.of(times, splined(times, seen, float(part.strength)), float(part.noise), float(part.strength))
+    def again(log: Logged) -> Logged:
+        if not float(log.noise) > 0:
+            return log
+        times, c = np.asarray(log.knots), np.asarray(log.coefficients)
+        angles = np.append(c[3], np.polyval(c[:, -1], times[-1] - times[-2]))
+        seen = angles + float(log.noise) * rng.normal(size=times.size)
+        return Logged.of(times, splined(times, seen, float(log.strength)), float(log.noise), float(log.strength))
 
-    return jax.tree.map(again, gait, is_leaf=lambda part: isinstance(part, Logged))
+    return with_logs(gait, again)
 
 
 def replayed(study: Study, optimum: Optimum, numbers: list[int], seed: int = 0) -> Iterator[Float[np.ndarray, "R n 3"]]:
@@ -49,11 +48,6 @@ def replayed(study: Study, optimum: Optimum, numbers: list[int], seed: int = 0) 
     until = float(np.asarray(study.batch.times).max())
     before = study.evaluate(at, numbers).residual
     for _ in range(DRAWS):
-        gaits = stacked_gaits([redrawn(run.gait, rng) for run in study.runs], until)
-        gaits = jax.tree.map(jnp.asarray, gaits)
-        yield eqx.tree_at(lambda s: s.batch.gait, study, gaits).evaluate(at, numbers).residual - before
-
-
-def _logs(gait: Gait) -> list[Logged]:
-    parts = jax.tree.leaves(gait, is_leaf=lambda part: isinstance(part, Logged))
-    return [part for part in parts if isinstance(part, Logged)]
+        gaits = [redrawn(run.gait, rng) if k in numbers else run.gait for k, run in enumerate(study.runs)]
+        there = eqx.tree_at(lambda s: s.batch.gait, study, stacked_gaits(gaits, until))
+        yield there.evaluate(at, numbers).residual - before

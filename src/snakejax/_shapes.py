@@ -5,6 +5,7 @@ that all of them are numbers of the order of one.
 """
 
 import abc
+import dataclasses
 from collections.abc import Callable, Sequence
 
 import equinox as eqx
@@ -177,7 +178,7 @@ def scaled(signal: AbstractSignal, factor: float | Scalar) -> AbstractSignal:
     if isinstance(signal, Sines):
         return Sines(signal.amplitude * factor, signal.frequency, signal.phase)
     if isinstance(signal, Logged):
-        return Logged(signal.knots, signal.coefficients * factor)
+        return dataclasses.replace(signal, coefficients=signal.coefficients * factor)
     raise TypeError(f"A command is a sum of sines or a log, but this is a {type(signal).__name__}.")
 
 

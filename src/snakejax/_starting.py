@@ -1,14 +1,14 @@
 """What a fit starts from: the model, and the parameters that it frees."""
 
 import fnmatch
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from ._board import Board
 from ._errors import InputError, instead_of
 from ._model import Model, no_traction
 from ._recording import Case
 from ._tyre import AbstractTyre, Pacejka, Rayleigh
-from ._units import parameters, with_parameters
+from ._units import parameters
 
 MODELS = ("pacejka", "rayleigh", "ideal")
 
@@ -59,8 +59,3 @@ def chosen(model: Model, patterns: Sequence[str]) -> list[str]:
             raise InputError(f"No parameter is called `{pattern}`", "option --free", instead_of(pattern, known))
         found += [name for name in fits if name not in found]
     return found
-
-
-def with_values(model: Model, values: Mapping[str, float]) -> Model:
-    """`model` with the parameters that `values` names, by any name `chosen` understands."""
-    return with_parameters(model, {chosen(model, [name])[0]: value for name, value in values.items()})

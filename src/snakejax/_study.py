@@ -16,7 +16,7 @@ from ._simulate import Accuracy
 from ._units import parameters, with_parameters
 
 FIT_ACCURACY = Accuracy(rtol=3e-7, atol=3e-9, max_steps=32768, derivative="forward")
-"""Accuracy of a fit. Its errors are a thousandth of the noise: larger ones are rough enough to stop a fit too soon."""
+"""Accuracy of a fit. Its errors are below a hundredth of the noise: larger ones are rough and stop a fit too soon."""
 
 DEPENDENT = 100.0
 """How many neighbouring samples share one error of a wrong model."""
@@ -134,8 +134,7 @@ class Study(eqx.Module):
         A parameter that wants to leave its domain is held on the bound while the others move, and let go where the
         misfit would fall inside. `until` [s] leaves out what comes later; `threshold` is that of Huber's loss; the fit
         ends where a step promises to lower chi^2 by less than `enough`, or far from the noise has lowered it by less
-        than the share `crawl`, or after `most` steps; `weak_prior` pulls
-        towards what is typical, for a first approach.
+        than the share `crawl`, or after `most` steps; `weak_prior` pulls towards what is typical, for a first approach.
         """
         with np.errstate(over="ignore", invalid="ignore"):
             return self._fit(values, list(free), list(runs), start, until, threshold, enough, crawl, weak_prior, most)

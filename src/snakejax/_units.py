@@ -35,6 +35,10 @@ class Domain(NamedTuple):
         """`value` in the coordinate that a fit moves."""
         return math.log(value) if self.multiplicative else value
 
+    def moved(self, value: float, step: float) -> float:
+        """`value` after a `step` in the coordinate that a fit moves; it may lie outside."""
+        return float(value * np.exp(step) if self.multiplicative else value + step)
+
     def complaint(self, value: float) -> str | None:
         """Why `value` lies outside this domain, or None where it lies inside."""
         if not math.isfinite(value):

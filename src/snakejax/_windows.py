@@ -194,8 +194,7 @@ class Windows(eqx.Module):
             trial = dict(now)
             for name, domain, move in zip(free, domains, step, strict=True):
                 move = float(np.clip(move, -1.0, 1.0)) if domain.multiplicative else float(move)
-                shifted = now[name] * np.exp(move) if domain.multiplicative else now[name] + move
-                trial[name] = float(np.clip(shifted, domain.low, domain.high))
+                trial[name] = float(np.clip(domain.moved(now[name], move), domain.low, domain.high))
             there = place + moves
             tried = self.at(trial, there, free)
             lost = np.flatnonzero(~(_each(tried) < LOST * _each(found) + tried.residual[0].size))

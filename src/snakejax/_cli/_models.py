@@ -5,6 +5,7 @@ from collections import OrderedDict
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from .._bench import LATERAL_SKID
 from .._board import Board
 from .._effect import Effect
 from .._errors import InputError, instead_of
@@ -18,8 +19,6 @@ from .._units import own_parameters, parameters, with_parameters
 from ..effects import LIBRARY
 from ._options import EffectSpec, assignments, effect_spec
 from ._own import own_module
-
-SKID_SWITCH = "lateral_skid"
 
 
 class Wanted(NamedTuple):
@@ -49,10 +48,10 @@ def wanted_model(options: argparse.Namespace, subject: Case | Preset) -> Wanted:
         what = f"The saved fit is of the model `{saved.model}`, not `{options.model}`"
         raise InputError(what, f"option --from {options.saved}", "leave out --model")
     specs = [effect_spec(text) for text in options.effect or ()]
-    switched = [spec for spec in specs if spec.name == SKID_SWITCH]
+    switched = [spec for spec in specs if spec.name == LATERAL_SKID]
     if any(spec.values for spec in switched):
-        raise InputError(f"`{SKID_SWITCH}` has no parameters", "option --effect", f"write {SKID_SWITCH} alone")
-    specs = [spec for spec in specs if spec.name != SKID_SWITCH]
+        raise InputError(f"`{LATERAL_SKID}` has no parameters", "option --effect", f"write {LATERAL_SKID} alone")
+    specs = [spec for spec in specs if spec.name != LATERAL_SKID]
     board, tyre, skid = _base(options, subject, saved, bool(switched))
     effects, held, given = _effects(specs, saved)
     try:
@@ -136,7 +135,7 @@ def effect_class(spec: EffectSpec) -> type[Effect]:
     """The class of an effect, built in or from a user's file. **Raises:** `InputError`."""
     if spec.source is None:
         if spec.name not in LIBRARY:
-            known = [*LIBRARY, SKID_SWITCH]
+            known = [*LIBRARY, LATERAL_SKID]
             remedy = f"{instead_of(spec.name, known)}; one of your own is FILE.py:Class"
             raise InputError(f"There is no effect `{spec.name}`", "option --effect", remedy)
         return LIBRARY[spec.name]

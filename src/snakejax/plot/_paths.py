@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from .._fit import Fit
 from .._palette import MATPLOTLIB, MEASURED, Look
 from .._played import Played, played_fit
+from .._recording import CHANNELS
 
 GAP = "0.9"
-CHANNELS = ("x", "y", "heading")
 HEADING_MARKS = 12
 COLUMNS = 4
 

@@ -28,7 +28,6 @@ def smoothed(times: Float[np.ndarray, " n"], angles: Float[np.ndarray, " n"]) ->
     """`angles` [rad] as they are, or where they are noisy the smoothing spline through them that predicts each sample
     best from all others (generalised cross validation, `scipy.interpolate.make_smoothing_spline`).
     """
-    from scipy.interpolate import make_smoothing_spline
     from scipy.optimize import root_scalar
 
     bends = bend(times, angles[:, None])
@@ -38,7 +37,7 @@ def smoothed(times: Float[np.ndarray, " n"], angles: Float[np.ndarray, " n"]) ->
     before, after = bends[:-1, 0], bends[1:, 0]
     if not (before * after).sum() < WHITE * (bends[:, 0] ** 2).sum():
         return Smoothed(angles, 0.0, 0.0)
-    best = make_smoothing_spline(_frames(times), angles)(_frames(times))
+    best = splined(times, angles)
     # scipy keeps its strength to itself: it is the one that leaves as much.
     left = np.std(angles - best)
 
@@ -49,14 +48,13 @@ def smoothed(times: Float[np.ndarray, " n"], angles: Float[np.ndarray, " n"]) ->
 
 
 def splined(
-    times: Float[np.ndarray, " n"], values: Float[np.ndarray, " n"], strength: float
+    times: Float[np.ndarray, " n"], values: Float[np.ndarray, " n"], strength: float | None = None
 ) -> Float[np.ndarray, " n"]:
-    """The cubic smoothing spline of `strength` through `values`, which is linear in them."""
+    """The cubic smoothing spline of `strength` through `values`, which is linear in them; of the strength that
+    generalised cross validation finds, where none is given.
+    """
     from scipy.interpolate import make_smoothing_spline
 
-    return make_smoothing_spline(_frames(times), values, lam=strength)(_frames(times))
-
-
-def _frames(times: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Time in frames: cross validation asks for equal units of time and angle."""
-    return (times - times[0]) / float(np.median(np.diff(times)))
+    # Cross validation asks for equal units of time and angle.
+    frames = (times - times[0]) / float(np.median(np.diff(times)))
+    return make_smoothing_spline(frames, values, lam=strength)(frames)
