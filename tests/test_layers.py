@@ -15,12 +15,12 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / "snakejax"
 # fmt: off
 ORDER = [
     "_prepare", "_errors", "_units", "_math", "_tyre", "_board", "_gait", "_recording", "_batch", "_effect", "_skid",
-    "_model", "_simulate", "_lanes", "_least_squares", "_study", "effects", "readers", "quality", "_toml", "_hints",
-    "_case", "_presets", "_check", "_template", "_understand", "_import", "_pieces", "_cluster", "_sweep", "_rayleigh",
-    "_windows", "_starting", "_misfit", "_estimates", "_approach", "_fit", "_profile", "_log_noise", "_align",
-    "_replay", "_scenes", "_grip", "_stretches", "_whiteness", "_shares", "_compare", "_score", "_sight", "_bench",
-    "_refit", "_prospects",
-    "_accomplices", "_rank", "_free_force", "_driven", "_process", "_drive", "_dependence", "_missing", "_starter",
+    "_model", "_simulate", "_lanes", "_marquardt", "_least_squares", "_study", "effects", "readers", "quality", "_toml",
+    "_hints", "_case", "_presets", "_check", "_template", "_understand", "_import", "_pieces", "_cluster", "_sweep",
+    "_rayleigh", "_windows", "_starting", "_misfit", "_estimates", "_approach", "_fit", "_profile", "_log_noise",
+    "_align", "_replay", "_scenes", "_grip", "_stretches", "_whiteness", "_shares", "_compare", "_score", "_sight",
+    "_bench", "_refit", "_prospects", "_accomplices", "_rank", "_free_force", "_driven", "_process", "_drive",
+    "_dependence", "_missing", "_starter",
     "_acceptance", "_stage", "_diagnose", "_follow", "_explain", "_shapes", "_limits", "_torque", "_objective", "_ran",
     "_draws", "_descend", "_task", "_tune", "_apart", "_bed", "_discriminate", "_files", "_json", "_provenance",
     "_results", "_saved", "_text", "_story", "_tuned", "_palette", "_played", "plot", "report", "_cli", "__main__",
@@ -30,7 +30,7 @@ ORDER = [
 CORE = ORDER[: ORDER.index("effects")]
 ONLY_IN = {
     "diffrax": {"_simulate", "_lanes"},
-    "optimistix": {"_least_squares", "_rayleigh", "_tune"},
+    "optimistix": {"_marquardt", "_rayleigh", "_tune"},
     "distributed": {"_cluster"},
 }
 

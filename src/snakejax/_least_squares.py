@@ -1,114 +1,23 @@
-"""Whole-run least squares: the residuals of many runs, their Jacobian, and the one room that knows optimistix."""
+"""Whole-run least squares: the residuals of many runs and their Jacobian, and the fit of them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jaxtyping import Array, Float, Int
 
 from ._batch import Batch
+from ._marquardt import MOST_STEPS, Ending, levenberg_marquardt
 from ._model import Model
 from ._simulate import Accuracy, simulate
 from ._units import Domain, parameters, with_parameters
 
 REACH = 3.0
-MOST_STEPS = 60
 LANES = 8
 """Derivatives in so many directions cost as much as in fewer: numbers in one vector of the processor."""
-STALLED, STUCK = 8, 0.02
-"""A fit has come as far as the accuracy of its simulations lets it after so many rejected steps in a row, or with one
-that is shorter than the first and lowers chi^2 by less than this share of what is enough.
-"""
-_FAR, _RELATIVE = 1.5, 1e-5
-"""A misfit above the first ends a fit early: where a step promises to lower chi^2 by less than the second share."""
-
-
-class _Local(eqx.Module):
-    """The linear problem of one step: Jacobian (M, N), residual (M,), the largest norm (N,) that each column of the
-    Jacobian has had so far, what an undamped step promises, and by how much the last step lowered chi^2.
-    """
-
-    jacobian: Float[Array, "M N"]
-    residual: Float[Array, " M"]
-    size: Float[Array, " N"]
-    promise: Float[Array, ""]
-    gain: Float[Array, ""]
-
-
-class _Marquardt(optx.AbstractDescent):
-    """Damped Newton steps, min |J d + r|^2 + lambda |D d|^2, with lambda = 1 / step size.
-
-    D is diagonal, the largest norm that each column of J has had, over `unit` (Moré 1978), so that with lambda = 1 the
-    residuals change by about `unit`, and no unknown runs away where it has just lost its effect.
-    """
-
-    unit: Float[Array, ""]
-
-    def init(self, y, f_info_struct) -> _Local:
-        rows = sum(leaf.size for leaf in jax.tree.leaves(f_info_struct.residual))
-        endless = jnp.asarray(jnp.inf)
-        return _Local(jnp.zeros((rows, y.size)), jnp.zeros(rows), jnp.zeros(y.size), endless, endless)
-
-    def query(self, y, f_info, state) -> _Local:
-        del y
-        J, r = f_info.jac.as_matrix(), jnp.concatenate([leaf.ravel() for leaf in jax.tree.leaves(f_info.residual)])
-        now = jnp.sqrt(jnp.sum(J**2, axis=0))
-        promise = jnp.sum(_solved(J, r, now, 1e-7)[1] ** 2)
-        fell = jnp.sum(state.residual**2) - jnp.sum(r**2)
-        return _Local(J, r, jnp.maximum(state.size, now), promise, jnp.where(jnp.any(state.size > 0), fell, jnp.inf))
-
-    def step(self, step_size, state):
-        damping = 1 / (self.unit * jnp.sqrt(step_size))
-        return -_solved(state.jacobian, state.residual, state.size, damping)[0], _SUCCESSFUL
-
-
-_SUCCESSFUL = optx.RESULTS.successful
-
-
-def _solved(J, r, size, damping) -> tuple[Array, Array]:
-    """argmin |J d - r|^2 + |damping size d|^2, and the part of (r, 0) in the span of (J, damping size)."""
-    size = jnp.where(size > 0, size, 1.0)
-    q, t = jnp.linalg.qr(jnp.concatenate([J / size[None, :], damping * jnp.eye(size.size)]))
-    within = q.T @ jnp.concatenate([r, jnp.zeros_like(size)])
-    return jax.scipy.linalg.solve_triangular(t, within) / size, within
-
-
-class _LevenbergMarquardt(optx.AbstractGaussNewton):
-    """optimistix's Gauss-Newton with `_Marquardt` steps and a trust region that widens on a good step, not on a perfect
-    one alone: these residuals bend, and with optimistix's own cutoff of 0.99 the damping stays large.
-
-    It ends where an undamped step promises to lower chi^2 by less than `enough`, or, far from the noise of the
-    `samples`, by a small share of it, or where the last step did lower it by no more than the share `crawl`.
-    """
-
-    enough: Float[Array, ""]
-    crawl: Float[Array, ""]
-    samples: Float[Array, ""]
-    most: Int[Array, ""]
-    descent: _Marquardt
-    rtol: float = 0.0
-    atol: float = 1e-300
-    norm: Callable = optx.two_norm
-    search: optx.AbstractSearch = optx.ClassicalTrustRegion(high_cutoff=0.75, high_constant=30.0, low_constant=0.1)
-    verbose: Callable = lambda **_: None
-
-    def terminate(self, fn, y, args, options, state, tags):
-        del fn, y, args, options, tags
-        stalled = (state.num_steps >= self.most) | (state.num_steps_since_acceptance >= STALLED)
-        short = state.search_state.step_size < 1
-        stalled |= short & (state.descent_state.gain < STUCK * self.enough)
-        return (state.num_steps > 0) & (self.settled(state) | stalled), state.result
-
-    def settled(self, state):
-        """Whether nothing is left to gain."""
-        square = jnp.sum(state.descent_state.residual**2)
-        far = square > _FAR * self.samples
-        little = state.descent_state.promise < jnp.maximum(self.enough, jnp.where(far, _RELATIVE * square, 0.0))
-        return little | (far & (state.descent_state.gain < self.crawl * square))
 
 
 class Unknowns(eqx.Module):
@@ -273,15 +182,12 @@ def _solve(model, at: Unknowns, batch: Batch, order, count, unit, prior, enough,
 
     present = jnp.sum(batch.weight > 0, axis=(1, 2))[order]
     samples = jnp.sum(jnp.where(jnp.arange(R) < count, present, 0)).astype(float)
-    solver = _LevenbergMarquardt(enough=enough, crawl=crawl, samples=samples, most=most, descent=_Marquardt(unit))
-    solution = optx.least_squares(
-        residuals, solver, jnp.zeros(width + R * depth), has_aux=True, max_steps=MOST_STEPS, throw=False
-    )
-    z = solution.value
+    ending = Ending(enough, crawl, samples, most)
+    z, out, taken, settled = levenberg_marquardt(residuals, jnp.zeros(width + R * depth), unit, ending)
     values = moved(domains_of(model, at.names), at, z[:width])
     start = at.start + at.free_start * z[width:].reshape(R, depth)
     ended = eqx.tree_at(lambda u: (u.values, u.start), at, (values, start))
-    return ended, solution.state.aux, solution.stats["num_steps"], solver.settled(solution.state)
+    return ended, out, taken, settled
 
 
 def solve(
@@ -302,8 +208,7 @@ def solve(
 
     The first step changes the residuals by about `unit` standard deviations of the noise at most. It ends where a step
     promises to lower chi^2 by less than `enough`, or far from the noise has lowered it by less than the share `crawl`,
-    and after `most` steps. `prior` (mean, 1 / spread) of the steps, each
-    (K,), if any.
+    and after `most` steps. `prior` (mean, 1 / spread) of the steps, each (K,), if any.
     """
     directions, at = at.directions, narrowed(at)
     width = at.directions.shape[0]
