@@ -1,6 +1,7 @@
 """How often the diagnosis is right, on boards made up: with each effect at five strengths, and without any.
 
-    python benchmarks/accuracy.py PART [RESULTS]         PART: null, ranking, loop, strong, exhaustive, table
+    python benchmarks/accuracy.py PART [RESULTS]         PART: null, ranking, loop, strong, pairs, strangers,
+                                                         exhaustive, table
 
 Each part writes its results line by line into RESULTS (default benchmarks/accuracy.jsonl), and goes on where it was
 stopped; `table` prints what they say, which is kept in benchmarks/accuracy.txt.
@@ -10,6 +11,9 @@ ranking     every effect at 5 strengths under both structures, 20 draws of the n
             mean recording, and serve all draws; each draw is scored by itself.
 loop        the whole loop on a hundred of these boards, 20 of each strength.
 strong      the whole loop on every effect at a size that one would meet, under both structures.
+pairs       the whole loop on 24 pairs of effects at such sizes, every fourth time beside a wrong structure, in runs
+            like those of a motion capture: five to train on, two held out, 12 s each.
+strangers   the same with an effect that no library holds.
 exhaustive  twenty of the hundred, all candidates refitted: the yardstick.
 
 Strengths are multiples of the smallest value that the runs reveal with power 0.8, as the tool itself says of the board
@@ -261,6 +265,64 @@ def loop(results: Results) -> None:
         results.once("loop", f"{skid} {name} {strength}", work)
 
 
+def couples() -> Iterator[tuple[int, str, str, dict[str, float]]]:
+    """(board, structure, structure as declared, value by effect) of each pair."""
+    for k in range(24):
+        rng = np.random.default_rng([k, 77])
+        skid = boards.SKIDS[k % 2]
+        names = [n for n in effects_of(skid) if n != "grip_split"]
+        one, other = rng.choice(len(names), 2, replace=False)
+        sizes = {names[j]: SIZES[names[j]] * rng.uniform(0.6, 1.5) for j in (one, other)}
+        yield 4000 + k, skid, "coupled" if k % 4 == 0 else skid, sizes
+
+
+def judged(case: Case, wanted: tuple[str, ...]) -> dict[str, Any]:
+    """What the whole loop makes of a recording whose effects are `wanted`."""
+    begin = time.perf_counter()
+    found = explain(case, boards.NOISE, CANDIDATES)
+    alike = {r.effect: r.confusable_with for r in found.final.ranking or found.base.ranking}
+    same = [any(f == w or w in alike.get(f, ()) for f in found.effects) for w in wanted]
+    missing = found.missing
+    return {
+        "verdict": found.verdict,
+        "effects": found.effects,
+        "right": len(found.effects) == len(wanted) and all(same) and found.verdict == "explained",
+        "estimate": {n: [e.value, e.sd] for n, e in found.final.estimates.items()},
+        "misfit": [found.base.train.misfit, found.final.train.misfit],
+        "heldout": [stage.heldout.misfit if stage.heldout else None for stage in (found.base, found.final)],
+        "depends_on": missing and missing.depends_on[:2],
+        "seconds": time.perf_counter() - begin,
+    }
+
+
+def pairs(results: Results) -> None:
+    for board, skid, declared, sizes in couples():
+
+        def work(board=board, skid=skid, declared=declared, sizes=sizes) -> dict[str, Any]:
+            made = boards.make_long(board, skid)
+            effects = {name: with_effect(name, value) for name, value in sizes.items()}
+            switched = ("lateral_skid",) if declared != skid else ()
+            tyre = {name: float(value.value) for name, value in parameters(made.model.tyre).items()}
+            truth = {"skid": skid, "declared": declared, "values": sizes, "tyre": tyre}
+            return {**truth, **judged(boards.case(made, board, declared, **effects), (*switched, *sizes))}
+
+        results.once("pairs", str(board), work)
+
+
+def strangers(results: Results) -> None:
+    for k, (name, (effect, variable)) in enumerate(boards.STRANGERS.items()):
+        for skid in boards.SKIDS:
+
+            def work(k=k, skid=skid, name=name, effect=effect, variable=variable) -> dict[str, Any]:
+                made = boards.make_long(5000 + k, skid)
+                found = judged(boards.case(made, 5000 + k, **{name: effect}), ())
+                first = found["depends_on"] and found["depends_on"][0][0]
+                right = found["verdict"] == "unexplained" and first == variable
+                return {"skid": skid, "effect": name, "variable": variable, **found, "right": right}
+
+            results.once("strangers", f"{skid} {name}", work)
+
+
 def exhaustive(results: Results) -> None:
     for board, skid, name, strength in list(hundred())[-YARDSTICK:]:
 
@@ -311,6 +373,10 @@ def table(results: Results) -> None:
         _loop_table(lines)
     if lines := results.of("strong"):
         _strong_table(lines)
+    if lines := results.of("pairs"):
+        _pairs_table(lines)
+    if lines := results.of("strangers"):
+        _strangers_table(lines)
     if lines := results.of("exhaustive"):
         print(f"Against refitting every candidate (AIC), {len(lines)} of the hundred")
         for what, name in (("first", "score"), ("exhaustive", "refits")):
@@ -353,6 +419,33 @@ def _strong_table(lines: list[dict[str, Any]]) -> None:
     print(f"  median {statistics.median(line['seconds'] for line in lines):.1f} s a board\n")
 
 
+def _pairs_table(lines: list[dict[str, Any]]) -> None:
+    print(f"Pairs of effects, 12 s runs, the whole loop: {sum(line['right'] for line in lines)} of {len(lines)}")
+    for line in lines:
+        switched = "lateral_skid, " if line["declared"] != line["skid"] else ""
+        parts = ", ".join(f"{name} {value:.3g}" for name, value in line["values"].items())
+        away = []
+        for name, value in (line["values"] | line["tyre"]).items():
+            mine = [e for n, e in line["estimate"].items() if name in n.split(".")]
+            if mine and mine[0][1]:
+                away.append(f"{(mine[0][0] - value) / mine[0][1]:+.1f}")
+        falls = ", ".join(" -> ".join(f"{misfit:.4g}" for misfit in line[key]) for key in ("misfit", "heldout"))
+        wrong = "" if line["right"] else f"  {line['verdict']} {', '.join(line['effects'])}"
+        print(f"  {line['skid']:8}{switched}{parts}: {falls}, standard errors away {' '.join(away)}{wrong}")
+    print(f"  median {statistics.median(line['seconds'] for line in lines):.1f} s a board\n")
+
+
+def _strangers_table(lines: list[dict[str, Any]]) -> None:
+    print(f"Effects that no library holds, the whole loop: {sum(line['right'] for line in lines)} of {len(lines)}")
+    for line in lines:
+        depends = ", ".join(f"{name} {share:.2f}" for name, share in line["depends_on"] or ())
+        falls = ", ".join(" -> ".join(f"{misfit:.4g}" for misfit in line[key]) for key in ("misfit", "heldout"))
+        wrong = "" if line["right"] else f"  ({line['variable']})"
+        called = f"{line['verdict']} {', '.join(line['effects'])}"
+        print(f"  {line['effect']:14}{line['skid']:8} {called}, {falls}, depends on {depends}{wrong}")
+    print(f"  median {statistics.median(line['seconds'] for line in lines):.1f} s a board\n")
+
+
 def _loop_table(lines: list[dict[str, Any]]) -> None:
     print(f"The whole loop on {len(lines)} of these boards: right / called adequate / wrong, by strength")
     for strength in STRENGTHS:
@@ -374,7 +467,7 @@ def _loop_table(lines: list[dict[str, Any]]) -> None:
     print(f"  median {statistics.median(line['seconds'] for line in lines):.1f} s a board\n")
 
 
-PARTS = {"null": null, "ranking": ranking, "loop": loop, "strong": strong, "exhaustive": exhaustive, "table": table}
+PARTS = {part.__name__: part for part in (null, ranking, loop, strong, pairs, strangers, exhaustive, table)}
 
 if __name__ == "__main__":
     where = Path(sys.argv[2]) if len(sys.argv) > 2 else Path(__file__).with_name("accuracy.jsonl")

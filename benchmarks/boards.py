@@ -7,22 +7,54 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from snakejax import TABLE_II, Accuracy, Board, Case, Effect, Gait, Model, Noise, Pacejka, Run, Sines, Tracked, simulate
+from snakejax import (
+    TABLE_II,
+    Accuracy,
+    Board,
+    Case,
+    Effect,
+    Force,
+    Gait,
+    Grip,
+    Model,
+    Noise,
+    Pacejka,
+    Run,
+    Scalar,
+    Sines,
+    Tracked,
+    param,
+    simulate,
+)
+from snakejax._batch import stacked_gaits
 
 NOISE = Noise(4e-4, 2.5e-3, "given")
 SECONDS, RATE = 6.0, 100.0
 TIMES = np.arange(int(SECONDS * RATE)) / RATE
 TRAIN, HELDOUT = 3, 1
+LONG_TIMES = np.arange(1200) / RATE
+LONG_GAITS = {
+    "train-forward-1": ([[0.9, 4.0, 0.0]], [[1.6, 4.0, 0.0]]),
+    "train-forward-2": ([[0.9, 4.0, 0.0]], [[1.6, 4.0, 0.0]]),
+    "train-rotate-1": ([[0.9, 2.0, 0.0]], [[1.6, 4.0, 0.0]]),
+    "train-arc-1": ([[0.5, 3.0, 0.0], [0.25, 0.6, 0.0]], [[1.6, 3.0, 0.0]]),
+    "train-wander-1": ([[0.5, 2.1, 0.0], [0.3, 3.7, 0.4]], [[1.2, 2.1, 0.2], [0.9, 4.3, 0.0]]),
+    "heldout-reverse-1": ([[0.7, 3.0, 0.0]], [[1.4, 3.0, np.pi]]),
+    "heldout-sweep-1": ([[0.4, 1.7, 0.3], [0.4, 2.9, 0.0]], [[1.0, 1.7, 0.0], [1.0, 2.9, 1.0]]),
+}
+"""Steering and rotor of the runs of `make_long`, each a sum of [amplitude in rad, rad/s, phase]."""
 SKIDS = ("free", "coupled")
 
 
 class Made(NamedTuple):
-    """A board without an effect, the gait of each run, and where each run starts (R, 3)."""
+    """A board without an effect, the gait of each run, where each run starts (R, 3), when it is seen, and the names."""
 
     skid: str
     model: Model
     gaits: tuple[Gait, ...]
     start: np.ndarray
+    times: np.ndarray
+    names: tuple[str, ...]
 
 
 def make(seed: int, skid: str) -> Made:
@@ -43,25 +75,106 @@ def make(seed: int, skid: str) -> Made:
         ]
         gaits.append(Gait(*(Tracked(Sines.of(terms), kp=100.0, kd=10.0) for terms in (phi, psi))))
     start = np.column_stack([rng.uniform(-0.5, 0.5, (len(gaits), 2)), rng.uniform(-np.pi, np.pi, len(gaits))])
-    return Made(skid, Model(Board(**TABLE_II, creep_speed=0.01), tyre, skid), tuple(gaits), start)
+    names = tuple(f"{'train' if k < TRAIN else 'heldout'}-{k}" for k in range(TRAIN + HELDOUT))
+    return Made(skid, Model(Board(**TABLE_II, creep_speed=0.01), tyre, skid), tuple(gaits), start, TIMES, names)
+
+
+def make_long(seed: int, skid: str) -> Made:
+    """The board of number `seed` in five runs of 12 s to train on, which differ in kind, and two others."""
+    rng = np.random.default_rng([seed, SKIDS.index(skid), 12])
+    tyre = Pacejka(B=rng.uniform(4, 10), C=rng.uniform(1.2, 1.6), D=rng.uniform(4.0, 9.0), E=rng.uniform(-0.3, 0.6))
+    gaits = [Gait(*(Tracked(Sines.of(terms), kp=100.0, kd=10.0) for terms in pair)) for pair in LONG_GAITS.values()]
+    start = np.column_stack([rng.uniform(-0.5, 0.5, (len(gaits), 2)), rng.uniform(-0.5, 0.5, len(gaits))])
+    model = Model(Board(**TABLE_II, creep_speed=0.01), tyre, skid)
+    return Made(skid, model, tuple(gaits), start, LONG_TIMES, tuple(LONG_GAITS))
 
 
 @eqx.filter_jit
-def _poses(model: Model, gaits: Gait, start):
+def _poses(model: Model, gaits: Gait, start, times):
     accuracy = Accuracy(rtol=1e-9, atol=1e-10)
-    return jax.lax.map(
-        lambda one: simulate(model, one[0], jnp.asarray(TIMES), one[1], accuracy=accuracy).pose, (gaits, start)
-    )
+    return jax.lax.map(lambda one: simulate(model, one[0], times, one[1], accuracy=accuracy).pose, (gaits, start))
 
 
-def case(made: Made, seed: int | None = None, **effects: Effect) -> Case:
-    """What was seen of the board with `effects`, under the noise of `seed` (None: without noise), as a case."""
-    gaits = jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]), *made.gaits)
-    poses = np.asarray(_poses(made.model.add(**effects), gaits, jnp.asarray(made.start)))
+def case(made: Made, seed: int | None = None, declared: str | None = None, **effects: Effect) -> Case:
+    """What was seen of the board with `effects`, under the noise of `seed` (None: without noise), as a case.
+
+    It says of the board that its skid is `declared`, or what it is.
+    """
+    gaits = stacked_gaits(made.gaits, made.times[-1])
+    poses = np.asarray(_poses(made.model.add(**effects), gaits, jnp.asarray(made.start), jnp.asarray(made.times)))
     if seed is not None:
         poses = poses + np.random.default_rng(seed).normal(size=poses.shape) * np.asarray(NOISE.channels)
     runs = tuple(
-        Run(f"run-{k}", "train" if k < TRAIN else "heldout", jnp.asarray(TIMES), jnp.asarray(pose), gait)
-        for k, (pose, gait) in enumerate(zip(poses, made.gaits, strict=True))
+        Run(name, name.split("-")[0], jnp.asarray(made.times), jnp.asarray(pose), gait)
+        for name, pose, gait in zip(made.names, poses, made.gaits, strict=True)
     )
-    return Case("made", "a board made up", made.skid, made.model.board, runs, NOISE)
+    return Case("made", "a board made up", declared or made.skid, made.model.board, runs, NOISE)
+
+
+class Spring(Force):
+    """A spring of k to the point (0.6, -0.7) m."""
+
+    k: Scalar = param("N/m", default=0.0)
+
+    def wrench(self, motion):
+        X, Y = motion.into_body(self.k * (0.6 - motion.x), self.k * (-0.7 - motion.y))
+        return X, Y, jnp.zeros_like(X)
+
+
+class Carpet(Force):
+    """A drag c of the body that comes in smoothly where x is above 0.3 m."""
+
+    c: Scalar = param("N s/m", default=0.0)
+
+    def wrench(self, motion):
+        drag = self.c * 0.5 * (1 + jnp.tanh((motion.x - 0.3) / 0.2))
+        return -drag * motion.u, -drag * motion.w, jnp.zeros_like(motion.u)
+
+
+class Compass(Force):
+    """A yaw moment of n that turns the board towards the heading 0.8 rad."""
+
+    n: Scalar = param("N m", default=0.0)
+
+    def wrench(self, motion):
+        zero = jnp.zeros_like(motion.theta)
+        return zero, zero, -self.n * jnp.sin(motion.theta - 0.8)
+
+
+class Warming(Grip):
+    """A grip that falls with time, by up to the share g, within 6 s."""
+
+    g: Scalar = param("-", default=0.0)
+
+    def lateral(self, force, wheel, motion):
+        return force * (1 - self.g * jnp.tanh(motion.time / 6))
+
+
+class RotorShake(Grip):
+    """A grip that falls with the rate of the rotor, by up to the share g."""
+
+    g: Scalar = param("-", default=0.0)
+
+    def lateral(self, force, wheel, motion):
+        return force * (1 - self.g * jnp.tanh((motion.rotor.rate / 4) ** 2))
+
+
+class SteeringDrag(Force):
+    """A force of c N/rad^2 backwards with the square of the steering angle."""
+
+    c: Scalar = param("N", default=0.0)
+
+    def wrench(self, motion):
+        X = -self.c * motion.steering.angle**2
+        return X, jnp.zeros_like(X), jnp.zeros_like(X)
+
+
+STRANGERS = {
+    "spring": (Spring(0.15), "world_position"),
+    "carpet": (Carpet(1.5), "world_position"),
+    "compass": (Compass(0.03), "heading"),
+    "warming": (Warming(0.35), "time"),
+    "rotor_shake": (RotorShake(0.35), "rotor_rate"),
+    "steering_drag": (SteeringDrag(1.0), "steering_angle"),
+}
+"""Effects that no library holds, and the variable on which each depends."""

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .._errors import InputError
-from ._setup import Say
+from ._progress import Say
 
 if TYPE_CHECKING:
     from .._board import Board

@@ -1,4 +1,4 @@
-"""What every command that computes does alike: JAX, cases, progress, results."""
+"""What every command that computes does alike: JAX, cases, results."""
 
 import argparse
 import contextlib
@@ -7,22 +7,17 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from .._errors import InputError
 from ._options import targets
+from ._progress import Say, progress
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from .._presets import Preset
     from .._recording import Case
-
-
-class Say(Protocol):
-    """Tells what is being done, and how far it has come where that is known: `done` of `total`."""
-
-    def __call__(self, message: str, done: int | None = None, total: int | None = None) -> None: ...
 
 
 def cache_folder() -> Path:
@@ -96,68 +91,6 @@ class Outcome(NamedTuple):
     write: Callable[[Path], None] = lambda folder: None
 
 
-@contextlib.contextmanager
-def progress(quiet: bool, cases: int = 1) -> Iterator[Callable[..., None]]:
-    """Say what goes on: one line that moves on a terminal, with a bar and the time left where they are known.
-
-    What it gives is a `Say` that also takes `case`, how many of several CASEs are done: that is the bar of a command
-    that does not know how far it has come itself.
-    """
-    from rich import progress as parts
-    from rich.console import Console
-
-    console = Console(stderr=True)
-    if quiet or not console.is_terminal:
-        yield lambda message, done=None, total=None, case=0: None
-        return
-    columns = (
-        parts.SpinnerColumn(),
-        parts.TextColumn("{task.description}"),
-        parts.BarColumn(bar_width=20),
-        parts.TimeElapsedColumn(),
-        parts.TextColumn("left", style="dim"),
-        _left_column(),
-    )
-    with parts.Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("starting", total=None, ends=None)
-        begun = first = time.monotonic()
-        known: tuple[int, int | None] = 0, None
-
-        def say(message: str, done: int | None = None, total: int | None = None, case: int = 0) -> None:
-            nonlocal begun, known
-            now = time.monotonic()
-            if of_cases := total is None and cases > 1:
-                done, total = case, cases
-            came = done or 0
-            if total != known[1]:
-                begun = first if of_cases else now
-            if (came, total) != known:
-                ends = now + (now - begun) * (total - came) / came if total is not None and came else None
-                bar.update(task, ends=ends)
-            if total is None:
-                bar.tasks[0].total = None  # `update` takes None for no news
-            bar.update(task, description=message, completed=came, total=total)
-            known = came, total
-
-        yield say
-
-
-def _left_column():
-    """The time left at the pace so far; Rich's own forgets a pace of less than two steps in half a minute."""
-    from datetime import timedelta
-
-    from rich.progress import ProgressColumn, Task
-    from rich.text import Text
-
-    class Left(ProgressColumn):
-        def render(self, task: Task) -> Text:
-            ends = task.fields["ends"]
-            left = "-:--:--" if ends is None else str(timedelta(seconds=max(int(ends - time.monotonic()), 0)))
-            return Text(left, style="progress.remaining")
-
-    return Left()
-
-
 def show(text: "RenderableType") -> None:
     """Print on standard output: as wide as the terminal, or 80 columns elsewhere."""
     from rich.console import Console
@@ -218,7 +151,7 @@ def each_case(
     for path in [*wanted.values(), *(Path(d) / "file" for d in (options.out, getattr(options, "csv", None)) if d)]:
         if path is not None:
             require_writable(path)
-    with progress(options.quiet, len(cases)) as say:
+    with progress(options.quiet, len(cases), options.command, options.out is not None) as say:
         for count, (name, case) in enumerate(cases.items(), 1):
             label = f"{name} ({count}/{len(cases)})" if len(cases) > 1 else name
             try:
@@ -230,7 +163,7 @@ def each_case(
                     label: str = label,
                     case: int = count - 1,
                 ) -> None:
-                    say(f"{label}: {message}", done, total, case=case)
+                    say(message, done, total, case=case, label=label)
 
                 case, quality, once = _inspected(options, case, told)
                 found = work(case, once)

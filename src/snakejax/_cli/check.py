@@ -4,7 +4,8 @@ import argparse
 from typing import Any
 
 from ._options import add_command
-from ._setup import Outcome, Say, each_case
+from ._progress import Say
+from ._setup import Outcome, each_case
 
 
 def add(commands: Any) -> None:

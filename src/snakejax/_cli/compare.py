@@ -7,7 +7,8 @@ from typing import Any
 from .._errors import InputError, instead_of
 from ._films import add_films, require_films
 from ._options import MODELS, add_cases, add_command, add_fitting, add_model, given, names, threshold
-from ._setup import Clock, Outcome, Say, each_case
+from ._progress import Say
+from ._setup import Clock, Outcome, each_case
 from .fit import fitted, report_fit
 
 

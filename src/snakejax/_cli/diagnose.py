@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from ._options import add_cases, add_command, given
-from ._setup import Clock, Outcome, Say, each_case
+from ._progress import Say
+from ._setup import Clock, Outcome, each_case
 from .explain import add_candidates, library, wanted
 
 

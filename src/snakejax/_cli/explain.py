@@ -7,7 +7,8 @@ from typing import Any
 from .._errors import InputError, instead_of
 from ._films import add_films, films, require_films
 from ._options import SKIDS, add_cases, add_command, effect_spec, given
-from ._setup import Clock, Outcome, Say, each_case
+from ._progress import Say
+from ._setup import Clock, Outcome, each_case
 
 
 def add(commands: Any) -> None:

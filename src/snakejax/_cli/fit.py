@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 from .._errors import InputError
 from ._films import add_films, films, require_films
 from ._options import add_cases, add_command, add_fitting, add_model, given, names, threshold
-from ._setup import Clock, Outcome, Say, each_case
+from ._progress import Say
+from ._setup import Clock, Outcome, each_case
 
 if TYPE_CHECKING:
     from .._fit import Fit

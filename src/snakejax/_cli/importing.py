@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from .._errors import InputError
 from ._options import add_command, assignments
 from ._places import ask, places
-from ._setup import progress
+from ._progress import progress
 
 if TYPE_CHECKING:
     from .._import import Wanted

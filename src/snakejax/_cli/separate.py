@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 from .._errors import InputError, instead_of
 from ._options import EffectSpec, effect_spec, finite, given
-from ._setup import Clock, Outcome, Say
+from ._progress import Say
+from ._setup import Clock, Outcome
 from .fit import fitted
 
 if TYPE_CHECKING:

@@ -7,7 +7,8 @@ from typing import Any
 
 from ._films import add_films, films, require_films
 from ._options import add_cases, add_command, add_loading, add_model, given, start_pose
-from ._setup import Clock, Outcome, Say, each_case
+from ._progress import Say
+from ._setup import Clock, Outcome, each_case
 from .fit import fitted
 
 COLUMNS = "time_s,x_m,y_m,heading_rad"

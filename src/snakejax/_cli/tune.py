@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 from .._errors import InputError, instead_of
 from ._options import add_cases, add_command, add_loading, add_model, assignments, finite, given, start_pose
 from ._own import own_module
-from ._setup import Clock, Outcome, Say, each_case
+from ._progress import Say
+from ._setup import Clock, Outcome, each_case
 from .fit import fitted
 
 if TYPE_CHECKING:
