@@ -76,7 +76,7 @@ def _missing() -> Missing:
     sd = np.stack([0.001 + 0 * t, 0.15 + 0.05 * np.cos(3 * t), np.nan * t], axis=1)
     shares = (("rotor_rate", 0.824), ("gait_phase", 0.565), ("world_position", 0.222))
     shape = cast(Any, SimpleNamespace(variable="rotor_rate"))
-    return Missing((RunForce("here", t, force, sd),), shares, shape, (12.0, 1.0), {})
+    return Missing((RunForce("here", t, force, sd),), shares, shape, (12.0, 1.0), {}, False)
 
 
 def models() -> list[Played]:

@@ -56,6 +56,10 @@ def test_candidates_with_one_signature_are_confusable(model):
     assert found["bias"] == ["slope"] and found["slope"] == ["bias"]
 
 
+def test_without_candidates_nothing_is_confusable():
+    assert confusable([]) == {}
+
+
 def test_a_weak_effect_is_confusable_with_what_is_half_like_it_and_a_strong_one_is_not(model):
     """A column at 45 degrees to the true one leaves half of what it explains: too little of 20, plenty of 2000."""
     for size, alike in ((0.19, ["slope"]), (1.9, [])):

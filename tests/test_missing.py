@@ -16,7 +16,7 @@ from snakejax._dependence import Shape
 from snakejax._effect import Force, Motion, Wrench
 from snakejax._free_force import FreeForce
 from snakejax._gait import Gait, Sines, Tracked
-from snakejax._missing import Missing, missing_force
+from snakejax._missing import Missing, believed, missing_force
 from snakejax._model import Model
 from snakejax._recording import Case, Noise, Run
 from snakejax._simulate import simulate
@@ -102,8 +102,15 @@ def test_a_spring_in_the_world_depends_on_the_place(spring):
 
 
 @pytest.mark.slow
-def test_under_coupled_the_lateral_force_has_no_band():
-    found = searched(made("coupled", spring=Spring()))
+def test_of_two_structures_the_force_is_counted_beside_the_one_that_leaves_less():
+    """A spring pulls at a coupled board, which feels nothing lateral."""
+    case, few = made("coupled", spring=Spring()), {"yaw_bias": LIBRARY["yaw_bias"]()}
+    both = []
+    for k, model in enumerate(structures(case, "pacejka", None)):
+        bench = Bench.of(model, case, NOISE, few, switched=k == 1)
+        both.append((bench, Step((), SimpleNamespace(values=bench.study.values(), misfit=np.inf))))
+    found = believed(both[::-1])
+    assert not found.switched and found.left < 1.2
     assert np.isnan(np.concatenate([run.sd[:, 1] for run in found.runs])).all()
     assert np.isfinite(np.concatenate([run.sd[:, [0, 2]] for run in found.runs])).all()
     assert found.depends_on[0][0] == "world_position"
@@ -124,7 +131,7 @@ SHAPES = {
 
 @pytest.mark.parametrize("name", SHAPES)
 def test_the_starter_loads_and_is_neutral_at_its_default(name, tmp_path):
-    text = starter(Missing((), ((SHAPES[name].variable, 1.0),), SHAPES[name], (9.0, 1.0), {}))
+    text = starter(Missing((), ((SHAPES[name].variable, 1.0),), SHAPES[name], (9.0, 1.0), {}, False))
     assert len(text.splitlines()) <= 30 and max(map(len, text.splitlines())) <= 120
     (tmp_path / "mine.py").write_text(text)
     kind = effect_class(effect_spec(f"{tmp_path / 'mine.py'}:MissingForce"))

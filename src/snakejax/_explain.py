@@ -12,7 +12,7 @@ from ._diagnose import Diagnosis, Question, diagnose, silent
 from ._effect import Effect
 from ._follow import follow
 from ._misfit import only_noise
-from ._missing import Missing, missing_force
+from ._missing import Missing, believed
 from ._rank import rank, significant
 from ._recording import Case, Noise
 from ._stage import Stage, stage
@@ -64,7 +64,7 @@ def explain(
     stages = [found.base]
     show(found.base)
     stages += _beyond(found, progress, show)
-    return _concluded(case, noise, stages, progress)
+    return _concluded(case, noise, found, stages, progress)
 
 
 def _beyond(found: Diagnosis, progress, show) -> list[Stage]:
@@ -96,7 +96,7 @@ def _beyond(found: Diagnosis, progress, show) -> list[Stage]:
     return here
 
 
-def _concluded(case: Case, noise: Noise, stages: list[Stage], progress) -> Explanation:
+def _concluded(case: Case, noise: Noise, found: Diagnosis, stages: list[Stage], progress) -> Explanation:
     last = stages[-1]
     clean = only_noise(last.step.optimum) and heldout_noise(last.bench, last.step, last.judgement)
     if clean:
@@ -104,7 +104,8 @@ def _concluded(case: Case, noise: Noise, stages: list[Stage], progress) -> Expla
         return Explanation(case, noise, tuple(stages), verdict, last.effects, (), stages[0].left_out, None)
     missing = None
     if len(last.bench.train) > 1:
-        # Helpers that do not explain would hide a part of it, so it is counted from the structure alone.
-        bare = next(stage for stage in stages if stage.bench is last.bench)
-        missing = missing_force(bare.bench, bare.step, progress)
+        # Helpers that do not explain would hide a part of it, so it is counted from the structures alone.
+        missing = believed(
+            [(found.base.bench, found.base.step), *([found.switched] if found.switched else [])], progress
+        )
     return Explanation(case, noise, tuple(stages), "unexplained", (), last.effects, stages[0].left_out, missing)

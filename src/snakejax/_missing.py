@@ -1,6 +1,6 @@
 """The missing force: what must be added to a model that no known effect repairs, and what it depends on."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -28,7 +28,8 @@ class Missing(NamedTuple):
 
     A share is that part of the misfit above noise which a dependence on this variable alone predicts on runs left out.
     `misfit` is the mean square of the windows' residuals without and with the free force; `shape` is None where no
-    variable predicts anything. `values` are the parameters of the model beside which the force acts, by name.
+    variable predicts anything. `values` are the parameters of the model beside which the force acts, by name;
+    `switched`, whether its wheelsets skid freely although the board was said to be coupled.
     """
 
     runs: tuple[RunForce, ...]
@@ -36,6 +37,13 @@ class Missing(NamedTuple):
     shape: Shape | None
     misfit: tuple[float, float]
     values: dict[str, float]
+    switched: bool
+
+    @property
+    def left(self) -> float:
+        """The misfit that the best variable leaves."""
+        best = self.depends_on[0][1] if self.depends_on else 0.0
+        return 1 + (self.misfit[0] - 1) * (1 - best)
 
 
 def missing_force(bench: Bench, step: Step, progress: Callable[[str], None] = lambda _: None) -> Missing:
@@ -56,7 +64,15 @@ def missing_force(bench: Bench, step: Step, progress: Callable[[str], None] = la
     samples = float((np.asarray(drive.batch.weight) > 0).sum())
     misfit = (settled.cost / samples, float((now.found.residual**2).sum()) / samples)
     values = {name: float(value) for name, value in zip(drive.names, now.point.values, strict=True)}
-    return Missing(_forces(drive, now), depends_on, shape, misfit, values)
+    return Missing(_forces(drive, now), depends_on, shape, misfit, values, bench.switched)
+
+
+def believed(structures: Sequence[tuple[Bench, Step]], progress: Callable[[str], None] = lambda _: None) -> Missing:
+    """The missing force beside that of the `structures` where a force of one cause leaves least.
+
+    How far whole runs of a wrong model come says nothing about its structure; what the windows leave does.
+    """
+    return min((missing_force(bench, step, progress) for bench, step in structures), key=lambda found: found.left)
 
 
 def _forces(drive: Drive, now: Settled) -> tuple[RunForce, ...]:

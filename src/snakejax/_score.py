@@ -179,7 +179,7 @@ def confusable(scored: Sequence[Scored]) -> dict[str, list[str]]:
     share = np.array([[min(float(((o.span.T @ s.signature) ** 2).sum()), 1.0) for o in scored] for s in scored])
     size = np.array([s.statistic for s in scored])
     close = np.maximum(size[:, None] * (1 - share), np.abs(size[:, None] - size)) < CLEAR
-    sure = np.array([s.p_value < ALPHA for s in scored])
+    sure = np.array([s.p_value < ALPHA for s in scored], bool)
     alike = (share > ALIKE**2) | (sure[:, None] & close)
     alike = alike | alike.T
     return {s.effect: [o.effect for j, o in enumerate(scored) if alike[i, j] and i != j] for i, s in enumerate(scored)}

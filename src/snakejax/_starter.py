@@ -73,7 +73,7 @@ def starter(missing: Missing) -> str:
     values_found = ", ".join(f"{name}={value:.4g}" for name, value in found.items())
     return f'''"""A missing action that depends on {shape.variable}, as `snakejax explain` found it. Mend it at will.
 
-Fit it:  snakejax fit CASE --effect THIS_FILE.py:MissingForce
+Fit it:  snakejax fit CASE{" --skid free" if missing.switched else ""} --effect THIS_FILE.py:MissingForce
 Found:   {values_found}
 """
 

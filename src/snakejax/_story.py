@@ -177,6 +177,10 @@ def _dependence(found: Explanation) -> RenderableType:
     for variable, share in missing.depends_on[:4]:
         add_row(table, variable, f"{100 * share:.0f} %")
     size = f"The missing force is {number(push)} N along the board and {number(turn)} N m in yaw (root mean square)."
+    if missing.switched:
+        size += (
+            " It is counted beside wheelsets that skid freely, where one cause leaves less than beside coupled ones."
+        )
     if missing.shape is None:
         return Group(Text(size), Text("It depends on nothing that these runs could tell."))
     (first, best), *others = missing.depends_on
