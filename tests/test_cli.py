@@ -507,6 +507,18 @@ def test_sweep_writes_the_curve_and_the_figure(say, tmp_path):
     assert len(list((tmp_path / "pieces").glob("*/*.npz"))) == 1
 
 
+def test_sweep_over_the_k_s_of_a_rayleigh_board(say, tmp_path):
+    """What is varied needs no other value, and no second Rayleigh board follows it."""
+    vary = ("--model", "rayleigh", "--vary", "k_s=2:40:3")
+    said = say("sweep", "paper-rotate", *vary, "--json", "-", "--quiet", "--out", tmp_path)
+    assert said.status == 0 and said.err == ""
+    found = json.loads(said.out)
+    assert found["k_s"] == [2, 21, 40] and "mismatch" not in found and found["polynomial"] is None
+    assert len(set(found["end"]["x_m"])) == 3 and "k_s" in (tmp_path / "sweep.html").read_text()
+    said = say("sweep", "paper-rotate", *vary)
+    assert said.status == 0 and [line.split()[0] for line in said.out.splitlines()[-3:]] == ["2", "21", "40"]
+
+
 @pytest.mark.slow
 def test_sweep_over_two_parameters_and_over_a_table(say, tmp_path):
     both = ("--vary", "D=1:4:2", "--vary", "B=0.08:0.1:3")

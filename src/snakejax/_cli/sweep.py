@@ -196,8 +196,10 @@ def _prepared(options: argparse.Namespace, subject: Any, axes: "Axes", say: Say)
         raise InputError(what, where, "name one of those as CASE")
     wanted = wanted_model(options, subject)
     if isinstance(subject, Preset) or options.set or options.saved:
-        require_given(options, wanted, own=isinstance(subject, Preset) and options.model is None)
         model = wanted.model
+        here = {dotted(model, name, where) for name in axes.columns if name not in loading}
+        filled = wanted._replace(given=wanted.given | here)
+        require_given(options, filled, own=isinstance(subject, Preset) and options.model is None)
     else:
         model = fitted(options, subject, say)[0].model
     if isinstance(model.tyre, Bakker) and len(loading) < len(axes.columns):
@@ -225,7 +227,7 @@ def _report(title: str, found: Any, curve: Any, names: list[str]) -> Any:
 
     from .._text import add_row, plain_table
 
-    followed = "k_s" in found
+    followed = "mismatch" in found
     heads = [*names, *(["k_s [N s/m]", "mismatch"] if followed else ["x [m]", "y [m]", "heading [rad]"])]
     table = plain_table(*heads, right=tuple(heads))
     flat = found.stack(board=found.dims) if len(found.dims) > 1 else found

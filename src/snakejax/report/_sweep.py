@@ -20,7 +20,7 @@ SHOWN = 200
 def sweep_page(result: Json) -> str:
     """The report of a sweep: k_s and the mismatch along one axis or over two, else a table of where boards end."""
     names = result["axes"]
-    followed = "k_s" in result
+    followed = "mismatch" in result
     values = {name: np.asarray(result[name], float) for name in names if name in result}
     told = f"{result['case']}: {_counted(result)} along {' and '.join(names)}"
     told += ", and the Rayleigh board nearest to each." if followed else "."
@@ -36,7 +36,7 @@ def _counted(result: Json) -> str:
 
 
 def _sentences(result: Json) -> tuple[str, ...]:
-    if "k_s" not in result:
+    if "mismatch" not in result:
         return ("A Rayleigh or ideal board is followed by none: this is where each one ends.",)
     polynomial, name = result["polynomial"], result["axes"][0]
     fitted = None
@@ -60,11 +60,11 @@ def _charts(result: Json, values: dict[str, np.ndarray]) -> list[Chart]:
         return []
     if len(names) == 2:
         parts: Any = result["end"]
-        if "k_s" in result:
+        if "mismatch" in result:
             parts = {"k_s [N s/m]": result["k_s"], "mismatch [%]": _percent(result["mismatch"])}
         return [_map(k, label, part, values, names) for k, (label, part) in enumerate(parts.items())]
     x = values[names[0]]
-    if "k_s" not in result:
+    if "mismatch" not in result:
         shown = [
             line(x, _numbers(part), label, Look(colour, dash))
             for (label, part), colour, dash in zip(
@@ -111,7 +111,7 @@ def _table(result: Json, values: dict[str, np.ndarray]) -> Section:
     names = [name for name in values if values[name].ndim == 1]
     ends = result["end"]
     shape = np.asarray(ends["x_m"], object).shape
-    followed = "k_s" in result
+    followed = "mismatch" in result
     heads = [*(f"#{name}" for name in names), *(("#k_s [N s/m]", "#mismatch [%]") if followed else ())]
     heads += ["#end x [m]", "#end y [m]", "#end heading [rad]"]
     rows = []
