@@ -246,29 +246,35 @@ def two_cores(repeats: int) -> None:
 
 def cold(repeats: int) -> None:
     """`snakejax sweep` over 1024 boards in fresh processes; the first one, which compiles, is left out."""
-    command = [sys.executable, "-m", "snakejax", "sweep", "paper-rotate", "--vary", "D=0.5:10:1024", "--quiet"]
     mine = ("_cli.sweep", "_cli._models", "_cli._setup", "_rayleigh", "_cluster", "_presets", "_text", "_case")
     imports = "; ".join(f"import snakejax.{name}" for name in mine) + "; import xarray, rich.console, rich.progress"
-    subprocess.run([*command, "--json", "-"], check=True, capture_output=True)
-    found = []
-    for _ in range(repeats):
-        whole = seconds(lambda: subprocess.run([*command, "--json", "-"], check=True, capture_output=True))
-        found.append((whole, seconds(lambda: subprocess.run([sys.executable, "-c", imports], check=True))))
-    said = json.loads(subprocess.run([*command, "--json", "-"], check=True, capture_output=True).stdout)["seconds"]
-    whole, imported = (statistics.median(part) for part in zip(*found, strict=True))
-    print(f"\n`snakejax sweep` of 1024 values of D with k_s of each, second run: {whole:.1f} s, of which its imports")
-    print(f"{imported:.1f} s: {whole - imported:.1f} s beyond them (the command itself says {said['total']:.1f} s)")
+    sweeps = {
+        "k_s of a Rayleigh board": ("--model", "rayleigh", "--vary", "k_s=1:100:1024"),
+        "D, with the nearest k_s of each": ("--vary", "D=0.5:10:1024"),
+    }
+    for what, options in sweeps.items():
+        command = [sys.executable, "-m", "snakejax", "sweep", "paper-rotate", *options, "--quiet", "--json", "-"]
+        subprocess.run(command, check=True, capture_output=True)
+        found = []
+        for _ in range(repeats):
+            whole = seconds(lambda command=command: subprocess.run(command, check=True, capture_output=True))
+            found.append((whole, seconds(lambda: subprocess.run([sys.executable, "-c", imports], check=True))))
+        said = json.loads(subprocess.run(command, check=True, capture_output=True).stdout)["seconds"]
+        whole, imported = (statistics.median(part) for part in zip(*found, strict=True))
+        print(f"\n`snakejax sweep` of 1024 values of {what}, second run: {whole:.1f} s, of which its imports")
+        print(f"{imported:.1f} s: {whole - imported:.1f} s beyond them (the command itself says {said['total']:.1f} s)")
 
 
 if __name__ == "__main__":
     repeats = int(sys.argv[1]) if len(sys.argv) > 1 else 7
-    if "two" in sys.argv:
-        two_cores(repeats)
-        raise SystemExit
+    for part in (two_cores, cold):
+        if part.__name__ in sys.argv:
+            part(repeats)
+            raise SystemExit
     cores = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(cores)})
     compare("Table II of the paper", repeats)
     compare("Tyres as of recordings", repeats, **STIFFER)
     os.sched_setaffinity(0, cores)
-    subprocess.run([sys.executable, __file__, str(repeats), "two"], check=True)
+    subprocess.run([sys.executable, __file__, str(repeats), "two_cores"], check=True)
     cold(repeats)

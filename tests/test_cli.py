@@ -519,6 +519,15 @@ def test_sweep_over_the_k_s_of_a_rayleigh_board(say, tmp_path):
     assert said.status == 0 and [line.split()[0] for line in said.out.splitlines()[-3:]] == ["2", "21", "40"]
 
 
+def test_what_is_not_there_to_be_varied_is_told_before_the_fit(say, monkeypatch):
+    def never(*_):
+        raise AssertionError("nothing was to be fitted")
+
+    monkeypatch.setattr("snakejax._cli.sweep.fitted", never)
+    said = say("sweep", LEVEL, "--vary", "massive=1:2:3")
+    assert said.status == 2 and said.err.startswith("snakejax: error: No parameter is called `massive`, option --vary:")
+
+
 @pytest.mark.slow
 def test_sweep_over_two_parameters_and_over_a_table(say, tmp_path):
     both = ("--vary", "D=1:4:2", "--vary", "B=0.08:0.1:3")

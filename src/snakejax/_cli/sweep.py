@@ -195,19 +195,19 @@ def _prepared(options: argparse.Namespace, subject: Any, axes: "Axes", say: Say)
         what = f"`{loading[0]}` is varied on {' and '.join(LOADS)} alone"
         raise InputError(what, where, "name one of those as CASE")
     wanted = wanted_model(options, subject)
-    if isinstance(subject, Preset) or options.set or options.saved:
-        model = wanted.model
-        here = {dotted(model, name, where) for name in axes.columns if name not in loading}
-        filled = wanted._replace(given=wanted.given | here)
-        require_given(options, filled, own=isinstance(subject, Preset) and options.model is None)
-    else:
-        model = fitted(options, subject, say)[0].model
+    model = wanted.model
     if isinstance(model.tyre, Bakker) and len(loading) < len(axes.columns):
         if loading:
             remedy = "vary load and camber, or the parameters of the tyre"
             raise InputError(f"`{loading[0]}` already says what the tyre is", where, remedy)
         model = Model(model.board, model.tyre.coefficients(), model.skid, model.effects)
+    # Before a fit of some minutes: what is varied may not be there.
     columns = {f"tyre.{n}" if n in loading else dotted(model, n, where): c for n, c in axes.columns.items()}
+    if isinstance(subject, Preset) or options.set or options.saved:
+        filled = wanted._replace(given=wanted.given | {*columns})
+        require_given(options, filled, own=isinstance(subject, Preset) and options.model is None)
+    else:
+        model = fitted(options, subject, say)[0].model
     if len(columns) < len(axes.columns):
         raise InputError("A parameter is named twice", where, "give each once")
     axes = axes._replace(columns=columns)
