@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ._acceptance import better, by_chance, certain
-from ._accomplices import accomplices
+from ._accomplices import FAR, accomplices
 from ._approach import least
 from ._bench import CLOSE, HOPELESS, NEARLY, Bench, Step
 from ._misfit import only_noise
@@ -21,10 +21,14 @@ def follow(bench, step, ranking, before, progress, show) -> list[Stage]:
     """Add what helps most, one effect after the other, then try to do without each."""
     stages = list(before)
     if step.optimum.misfit > NEARLY and not ends_in_noise(ranking):
-        for name, then, ranks in _together(bench, step, ranking, progress):
+        path, left = _together(bench, step, ranking, progress)
+        for name, then, ranks in path:
             step, ranking = then, ranks
             stages.append(stage(bench, "added", name, step, ranking))
             show(stages[-1])
+        if left > FAR and not step.optimum.misfit < HOPELESS:
+            # No set of effects explains even the windows: which of them help a little is not worth the time.
+            return stages
     while len(step.effects) < MOST_EFFECTS and not (only_noise(step.optimum) and not significant(ranking)):
         found = None
         for candidate in promising(ranking):
@@ -54,8 +58,9 @@ def follow(bench, step, ranking, before, progress, show) -> list[Stage]:
     return stages
 
 
-def _together(bench, step, ranking, progress) -> list[tuple[str, Step, tuple[Ranked, ...]]]:
-    """The steps to the set of effects that explains the windows together and whole runs best, or none.
+def _together(bench, step, ranking, progress) -> tuple[list[tuple[str, Step, tuple[Ranked, ...]]], float]:
+    """The steps to the set of effects that explains the windows together and whole runs best, or none; and the misfit
+    of the windows that the best of all sets leaves.
 
     Far from the recordings whole runs cannot say which of two missing effects comes first; short windows can say which
     pair leaves least.
@@ -68,19 +73,21 @@ def _together(bench, step, ranking, progress) -> list[tuple[str, Step, tuple[Ran
     refits = [Step(s.effects, refit(bench, s.effects, s.values, near=s.misfit < CLOSE)) for s in tried]
     refits = [r for r in refits if r.optimum.misfit < step.optimum.misfit]
     if not refits:
-        return []
+        return [], best_on_windows
     best = min(
         refits,
         key=lambda r: (not only_noise(r.optimum), len(r.effects) if only_noise(r.optimum) else 0, r.optimum.misfit),
     )
     if not better(bench, step, best):
-        return []
+        return [], best_on_windows
     path = []
     for count in range(len(step.effects) + 1, len(best.effects)):
         part = best.effects[:count]
         path.append((part[-1], Step(part, refit(bench, part, best.optimum.values, near=False)), ()))
-    path.append((best.effects[-1], best, tuple(rank(bench, best, progress=progress))))
-    return path
+    hopeless = best_on_windows > FAR and not best.optimum.misfit < HOPELESS
+    ranks = () if hopeless else tuple(rank(bench, best, progress=progress))
+    path.append((best.effects[-1], best, ranks))
+    return path, best_on_windows
 
 
 def _settled_without(bench: Bench, step: Step, rest: Sequence[str]) -> Optimum:
