@@ -10,14 +10,16 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from snakejax import fit_logged, load_case, starting_model
+from snakejax import explain, fit_logged, load_case, noise_of, starting_model
 from snakejax._errors import InputError
 from snakejax._gait import Gait, Logged, on_clock
 from snakejax._log_noise import is_noisy, redrawn
 from snakejax._recording import LogClock
+from snakejax.effects import LIBRARY
 from snakejax.quality import clocks, lag, smoothed
 
 DATA = Path(__file__).resolve().parents[1] / "data" / "level-board"
+TILTED = DATA.with_name("tilted-floor")
 CLOCKS = {
     "train-forward-1": (0.137, 0.0),
     "train-forward-2": (-0.2, 0.0),
@@ -29,16 +31,16 @@ CLOCKS = {
 }
 
 
-def logged_case(folder: Path, keys: str, names=tuple(CLOCKS), noise: float = 0.0) -> Path:
-    """`level-board`, or its runs `names`, with the joints' true motion and `noise` [rad] as logs, on the clocks above;
-    `keys` say what is known of them.
+def logged_case(folder: Path, keys: str, names=tuple(CLOCKS), noise: float = 0.0, data: Path = DATA) -> Path:
+    """The runs `names` of `data`, with the joints' true motion and `noise` [rad] as logs, on the clocks above; `keys`
+    say what is known of them.
     """
     rng = np.random.default_rng(1)
-    shutil.copytree(DATA, folder)
-    head, *runs = (DATA / "case.toml").read_text(encoding="utf-8").split("[[runs]]")
+    shutil.copytree(data, folder)
+    head, *runs = (data / "case.toml").read_text(encoding="utf-8").split("[[runs]]")
     text = head.split("[actuator]")[0]
     times = np.arange(0, 12.5, 0.01)
-    for run, part in zip(load_case(DATA).runs, runs, strict=True):
+    for run, part in zip(load_case(data).runs, runs, strict=True):
         if run.name not in names:
             continue
         offset, drift = CLOCKS[run.name]
@@ -188,3 +190,19 @@ def test_the_fit_tells_the_clocks_of_noisy_logs(tmp_path):
     for name, true in {"tyre.B": 7.589, "tyre.C": 1.515, "tyre.D": 8.543, "tyre.E": -0.122}.items():
         estimate = found.estimates[name]
         assert abs(estimate.value - true) < 3 * estimate.sd
+
+
+@pytest.mark.slow
+def test_what_is_missing_is_found_although_the_clocks_are_not_known(tmp_path):
+    """The floor is tilted: under a model without a slope whole runs cannot tell a clock, short windows can."""
+    names = ("train-forward-1", "train-rotate-1", "train-wander-1", "heldout-reverse-1")
+    case = load_case(logged_case(tmp_path / "case", 'offset_s = "estimate"', names, data=TILTED))
+    few = {name: LIBRARY[name]() for name in ("ground_slope", "yaw_bias", "clock_offset")}
+    found = explain(case, noise_of(case), few)
+    assert (found.verdict, found.effects) == ("explained", ("ground_slope",))
+    assert "joint logs" in found.left_out["clock_offset"]
+    for run in found.case.runs:
+        assert abs(run.log.offset - CLOCKS[run.name][0]) < 3 * run.log.offset_sd < 3e-3
+    for name, value in (("sx", 0.003), ("sy", -0.002)):
+        slope = found.final.estimates[f"effects.ground_slope.{name}"]
+        assert abs(slope.value - value) < 3 * slope.sd < 1e-5

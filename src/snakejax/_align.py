@@ -10,28 +10,24 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from ._approach import require_sound
+from ._errors import FitError
 from ._estimates import spread
 from ._fit import Fit, described, fit
-from ._gait import on_clock
 from ._least_squares import starts_removed
+from ._log_clocks import STEPS, STILL, by_clock, free_clocks, moved_clock, shifted
 from ._log_noise import is_noisy, replayed
 from ._model import Model
-from ._recording import Case, LogClock, Noise, Run
+from ._recording import Case, Noise, Run
+from ._starting import chosen, default_free
 from ._study import Optimum, Study, inverse
+from ._window_clocks import window_clocks
 
 ROUNDS = 8
 """Fits after which the clocks stand still, or never do."""
-STILL = 0.2
-"""Clocks that move by less than this share of their standard error stand still."""
-STEPS = {"offset": 4e-3, "drift": 4e-4}
-"""Steps of the central differences: [s] and [-]; smaller ones would show the solver's errors along a noisy log."""
 
 
 def fit_logged(
@@ -47,26 +43,22 @@ def fit_logged(
 
     What the parameters' errors owe to the clocks, and both to noise in the logs, is in them.
     """
+    if clocked := any(free_clocks(run) for run in runs):
+        names = default_free(model) if free is None else chosen(model, free)
+        runs = window_clocks(model, runs, noise, names, progress)
     found = fit(model, runs, noise, free, threshold=threshold, progress=progress)
-    if any(_free(run) for run in runs):
-        found = _aligned(found, threshold, progress)
-        # Wrong clocks may have led the tyre astray.
-        again = fit(model, found.study.runs, noise, free, threshold=threshold, progress=progress)
-        if again.train_score.misfit < found.train_score.misfit:
-            found = _aligned(again, threshold, progress)
-    if any(_free(run) or is_noisy(run.gait) for run in found.study.runs):
-        progress("what the joint logs leave open")
-        found = _with_log_errors(found)
-    return found
+    if clocked:
+        found = aligned(found, threshold, progress)
+    return with_log_errors(found, progress)
 
 
-def _aligned(found: Fit, threshold: float, progress: Callable[[str], None]) -> Fit:
-    """`found` with clocks that stand still."""
+def aligned(found: Fit, threshold: float, progress: Callable[[str], None]) -> Fit:
+    """`found` with clocks that stand still. **Raises:** `FitError` where the runs do not tell them."""
     for _ in range(ROUNDS):
         progress("aligning the clocks of the joint logs")
-        aligned, moved = align(found)
+        runs, moved = align(found)
         before = found.study
-        study = Study.of(before.model, aligned, before.noise, before.names, before.width, before.accuracy)
+        study = Study.of(before.model, runs, before.noise, before.names, before.width, before.accuracy)
         train, began = study.numbered("train"), found.optimum
         optimum = study.fit(began.values, began.free, train, began.start, threshold=threshold)
         found = described(study, require_sound(study, optimum, train))
@@ -76,11 +68,10 @@ def _aligned(found: Fit, threshold: float, progress: Callable[[str], None]) -> F
 
 
 def with_clocks(model: Model, case: Case, noise: Noise, progress: Callable[[str], None] = lambda _: None) -> Case:
-    """`case` with the free clocks of its joint logs as `fit_logged` finds them under `model`; itself if none is."""
-    if not any(_free(run) for run in case.runs):
+    """`case` with the free clocks of its joint logs where short windows under `model` want them; itself if none is."""
+    if not any(free_clocks(run) for run in case.runs):
         return case
-    runs = fit_logged(model, case.runs, noise, progress=progress).study.runs
-    return dataclasses.replace(case, runs=runs)
+    return dataclasses.replace(case, runs=window_clocks(model, case.runs, noise, default_free(model), progress))
 
 
 def align(found: Fit) -> tuple[tuple[Run, ...], float]:
@@ -95,16 +86,19 @@ def align(found: Fit) -> tuple[tuple[Run, ...], float]:
             continue
         joint = _linear(study, optimum, study.numbered(role), found.optimum)
         step, errors = joint.step(optimum.linearised.residual), np.sqrt(np.diag(joint.covariance)) * spread(optimum)
-        sds_of = joint.by_clock(study.runs, errors)
-        for k, steps in joint.by_clock(study.runs, step).items():
-            runs[k] = _moved(study.runs[k], steps, sds_of[k])
+        sds_of = by_clock(study.runs, joint.numbers, errors)
+        for k, steps in by_clock(study.runs, joint.numbers, step).items():
+            runs[k] = moved_clock(study.runs[k], steps, sds_of[k], "the fit")
             moved = max(moved, *(abs(steps[name]) / sd for name, sd in sds_of[k].items()))
     return tuple(runs), moved
 
 
-def _with_log_errors(found: Fit) -> Fit:
-    """`found` with the errors that clocks and noise of the joint logs bring."""
+def with_log_errors(found: Fit, progress: Callable[[str], None] = lambda _: None) -> Fit:
+    """`found` with the errors that clocks and noise of the joint logs bring; itself where there are none."""
     study, optimum = found.study, found.optimum
+    if not any(free_clocks(run) or is_noisy(run.gait) for run in study.runs):
+        return found
+    progress("what the joint logs leave open")
     joint = _linear(study, optimum, study.numbered("train"), optimum)
     total = joint.covariance + joint.scatter(study, optimum) / spread(optimum) ** 2
     runs = list(study.runs)
@@ -118,31 +112,11 @@ def _with_log_errors(found: Fit) -> Fit:
 
 
 def _set_errors(runs: list[Run], joint: "_Linear", errors: np.ndarray) -> None:
-    for k, sds in joint.by_clock(runs, errors).items():
+    for k, sds in by_clock(runs, joint.numbers, errors).items():
         log = runs[k].log
         assert log is not None
         named = {f"{name}_sd": sd for name, sd in sds.items()}
         runs[k] = dataclasses.replace(runs[k], log=log._replace(**named))
-
-
-def _free(run: Run) -> tuple[str, ...]:
-    return run.log.free if run.log is not None else ()
-
-
-def _moved(run: Run, step: dict[str, float], sd: dict[str, float]) -> Run:
-    """`run` with its log's clock moved by `step`: what the clock shows at t, t (1 + d) + o, gets both parts of it."""
-    log = run.log
-    assert log is not None
-    offset, drift = step.get("offset", 0.0), step.get("drift", 0.0)
-    new = LogClock(
-        log.offset + (1 + log.drift) * offset,
-        log.drift + (1 + log.drift) * drift,
-        sd.get("offset", log.offset_sd),
-        sd.get("drift", log.drift_sd),
-        "the fit",
-        log.free,
-    )
-    return dataclasses.replace(run, gait=on_clock(run.gait, jnp.asarray(offset), jnp.asarray(drift)), log=new)
 
 
 class _Linear(NamedTuple):
@@ -164,11 +138,6 @@ class _Linear(NamedTuple):
         parts = zip(self.numbers, self.columns, strict=True)
         return -self.inverse @ sum(part[:, : self.moving].T @ np.asarray(residual[k]).reshape(-1) for k, part in parts)
 
-    def by_clock(self, runs: Sequence[Run], values: Float[np.ndarray, " m"]) -> dict[int, dict[str, float]]:
-        """The first of `values` as they belong to the free clocks: by the number of the run, and by name."""
-        place = iter(values)
-        return {k: {name: float(next(place)) for name in names} for k in self.numbers if (names := _free(runs[k]))}
-
     def scatter(self, study: Study, optimum: Optimum) -> Float[np.ndarray, "m m"]:
         """The covariance of the steps that noise in the logs brings."""
         if not any(is_noisy(study.runs[k].gait) for k in self.numbers):
@@ -187,12 +156,12 @@ def _linear(study: Study, optimum: Optimum, numbers: list[int], fitted: Optimum)
     if given:
         there = study.at(optimum.values, fitted.free, optimum.start)
         optimum = optimum._replace(linearised=study.evaluate(there, numbers))
-    count = sum(len(_free(study.runs[k])) for k in numbers)
+    count = sum(len(free_clocks(study.runs[k])) for k in numbers)
     slopes = {name: _column(study, optimum, numbers, name) for name in STEPS} if count else {}
     free_start = np.asarray(study.batch.free_start)
     columns, at = [], 0
     for k in numbers:
-        names = _free(study.runs[k])
+        names = free_clocks(study.runs[k])
         r, J = starts_removed(optimum.linearised, k, study.width, free_start)
         part = np.zeros((r.size, count + len(loose)))
         part[:, count:] = J[:, loose]
@@ -201,6 +170,8 @@ def _linear(study: Study, optimum: Optimum, numbers: list[int], fitted: Optimum)
             part[:, at : at + len(names)] = _without_starts(optimum, k, study.width, free_start, own)
             at += len(names)
         columns.append(part)
+    if not all(np.isfinite(part).all() for part in columns):
+        raise FitError("The clocks of the joint logs cannot be told: the model goes astray where they move by 4 ms.")
     normal = sum((part.T @ part for part in columns), np.zeros((count + len(loose),) * 2))
     if not given:
         covariance = inverse(normal)
@@ -222,9 +193,7 @@ def _column(study: Study, optimum: Optimum, numbers: list[int], name: str) -> np
     """The derivative (R, n, 3) of the whitened residuals by the offset [s] or the drift of the logs' clocks."""
     sides = []
     for sign in (1, -1):
-        offset, drift = (sign * STEPS[name] * (name == kind) for kind in ("offset", "drift"))
-        shifted = jax.vmap(lambda gait, o=offset, d=drift: on_clock(gait, o, d))(study.batch.gait)
-        there = eqx.tree_at(lambda s: s.batch.gait, study, shifted)
+        there = shifted(study, name, sign * STEPS[name])
         at = there.at(optimum.values, optimum.free, optimum.start)
         sides.append(np.asarray(there.evaluate(at, numbers).residual))
     return (sides[0] - sides[1]) / (2 * STEPS[name])

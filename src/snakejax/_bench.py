@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import equinox as eqx
 
-from ._effect import Effect
+from ._effect import Clock, Effect
 from ._model import Model
 from ._recording import Case, Noise
 from ._skid import Coupled
@@ -51,7 +51,7 @@ class Bench(eqx.Module):
         for name, effect in library.items():
             if name in model.effects:
                 full_effect = model.effects[name]
-            elif why := effect.refusal(model):
+            elif why := effect.refusal(model) or _told_by_logs(effect, case):
                 left_out[name] = why
                 continue
             else:
@@ -84,6 +84,12 @@ class Bench(eqx.Module):
     def off_zero(self, name: str, value: float) -> float:
         """A parameter without a derivative at zero must start beside it."""
         return self.probes().get(name, value) if value == 0.0 else value
+
+
+def _told_by_logs(effect: Effect, case: Case) -> str | None:
+    if isinstance(effect, Clock) and any(run.log is not None and "offset" in run.log.free for run in case.runs):
+        return "the clocks of the joint logs are estimated, run by run"
+    return None
 
 
 class Step(NamedTuple):

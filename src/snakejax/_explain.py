@@ -1,5 +1,6 @@
 """The loop: fit, compare, diagnose, add, refit, until only noise is left or nothing known explains the rest."""
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Unpack
 
@@ -7,15 +8,20 @@ import equinox as eqx
 import numpy as np
 
 from ._acceptance import better_structure, heldout_noise
-from ._bench import LATERAL_SKID
+from ._align import aligned, with_clocks, with_log_errors
+from ._bench import HOPELESS, LATERAL_SKID
 from ._diagnose import Diagnosis, Question, diagnose, silent
 from ._effect import Effect
+from ._errors import FitError
+from ._fit import described
 from ._follow import follow
+from ._log_clocks import STILL, free_clocks
 from ._misfit import only_noise
 from ._missing import Missing, believed
 from ._rank import rank, significant
 from ._recording import Case, Noise
 from ._stage import Stage, stage
+from ._starting import starting_model
 
 
 class Explanation(eqx.Module):
@@ -60,11 +66,55 @@ def explain(
     **Raises:** `FitError` where the base cannot be fitted.
     """
     progress = question.get("progress", silent)
+    case = with_clocks(
+        starting_model(case, question.get("kind", "pacejka"), question.get("skid")), case, noise, progress
+    )
+    found = _explained(case, noise, library, show, question)
+    if any(free_clocks(run) for run in case.runs):
+        again = _with_clocks_of(found, progress)
+        found = _explained(again, noise, library, show, question) if again is not None else found
+    return _with_errors(found, progress)
+
+
+def _explained(case: Case, noise: Noise, library, show, question: Question) -> Explanation:
+    """`explain` with the joint logs on the clocks they have."""
     found = diagnose(case, noise, library, **question)
-    stages = [found.base]
+    stages, progress = [found.base], question.get("progress", silent)
     show(found.base)
     stages += _beyond(found, progress, show)
     return _concluded(case, noise, found, stages, progress)
+
+
+def _with_clocks_of(found: Explanation, progress) -> Case | None:
+    """The case with the clocks of joint logs as its last model has them; None where it is too far off to tell them, or
+    they stay where they are.
+    """
+    last = found.final
+    if not last.step.optimum.misfit < HOPELESS:
+        return None
+    try:
+        runs = aligned(described(last.bench.study, last.step.optimum), np.inf, progress).study.runs
+    except FitError:
+        return None
+    stay = all(
+        abs(getattr(new.log, name) - getattr(old.log, name)) < STILL * getattr(new.log, f"{name}_sd")
+        for new, old in zip(runs, found.case.runs, strict=True)
+        for name in free_clocks(new)
+    )
+    return None if stay else dataclasses.replace(found.case, runs=runs)
+
+
+def _with_errors(found: Explanation, progress) -> Explanation:
+    """`found`, the estimates of its last stage with the errors that clocks and noise of joint logs bring."""
+    if all(run.log is None for run in found.case.runs):
+        return found
+    last = found.final
+    fit = described(last.bench.study, last.step.optimum)
+    wider = with_log_errors(fit, progress)
+    if wider is fit:
+        return found
+    stages = (*found.stages[:-1], last._replace(estimates=wider.estimates))
+    return dataclasses.replace(found, stages=stages, case=dataclasses.replace(found.case, runs=wider.study.runs))
 
 
 def _beyond(found: Diagnosis, progress, show) -> list[Stage]:

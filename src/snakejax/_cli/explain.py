@@ -76,25 +76,22 @@ def wanted(options: argparse.Namespace) -> dict[str, Any]:
 def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     """Explain one case."""
     from .. import plot
-    from .._align import with_clocks
     from .._explain import explain
     from .._files import write_whole
     from .._played import played_stages
     from .._provenance import provenance_json
     from .._results import joint_logs_json
     from .._starter import starter
-    from .._starting import starting_model
     from .._story import explanation_json, explanation_text
     from ..quality import noise_of
     from ..report import explanation_page
 
     clock = Clock()
     noise = noise_of(case)
-    case = with_clocks(starting_model(case, options.model, options.skid), case, noise, say)
     found = explain(case, noise, library(options), **wanted(options), progress=say)
     provenance = provenance_json(options.seed, given(options), case.sha256)
 
-    result = {**explanation_json(found, provenance, clock.seconds()), **joint_logs_json(case.runs)}
+    result = {**explanation_json(found, provenance, clock.seconds()), **joint_logs_json(found.case.runs)}
 
     def write(folder: Path) -> None:
         say("drawing")
