@@ -35,7 +35,7 @@ def main(folder: Path, key: Path, names: list[str]) -> None:
     """Print one line a case, and the median time."""
     start_jax()
     known = {entry["case"]: entry for entry in json.loads(key.read_text())}
-    right, seconds = 0, []
+    right, keyed, seconds = 0, 0, []
     for name in names or sorted(known):
         entry, case = known[name], load_case(folder / name)
         clock = Clock()
@@ -46,6 +46,7 @@ def main(folder: Path, key: Path, names: list[str]) -> None:
         good = found.verdict == entry["verdict"] and set(found.effects) == set(entry["effects"] or ())
         good &= "depends_on" not in entry or (first is not None and first[0] == entry["depends_on"])
         right += good
+        keyed += entry["verdict"] is not None
         base, final = found.base, found.final
         held = ["-" if s.heldout is None else f"{s.heldout.misfit:.4g}" for s in (base, final)]
         print(
@@ -61,7 +62,7 @@ def main(folder: Path, key: Path, names: list[str]) -> None:
         if found.verdict != "unexplained":
             print(f"  standard errors from the truth: {away(found, truth)}")
         print(f"  {seconds[-1]:.1f} s, and {spent['compile']:.1f} s of compiling")
-    print(f"{right} of {len(seconds)} as in the key; median {statistics.median(seconds):.1f} s after compilation")
+    print(f"{right} of the {keyed} with a key as in the key; median {statistics.median(seconds):.1f} s after compilation")
 
 
 if __name__ == "__main__":
