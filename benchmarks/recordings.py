@@ -1,69 +1,67 @@
-"""Explain a set of recordings whose hidden effects are known, and compare.
+"""Explain a set of recordings whose hidden effects are known, in one call of the command, and compare.
 
-    python benchmarks/recordings.py FOLDER KEY.json [CASE ...]
+    python benchmarks/recordings.py FOLDER KEY.json OUT [CASE ...]
 
-FOLDER holds case folders, KEY.json a list of {"case", "verdict", "effects", "values", "tyre", "depends_on"}. One
-process explains all of them, as `snakejax explain` does with several CASEs; the seconds are those of each, less
-compilation.
+FOLDER holds case folders, KEY.json a list of {"case", "verdict", "effects", "values", "tyre", "depends_on"}; OUT gets
+the results and reports. The seconds are those of each case less compilation, figures and report not counted.
 """
 
 import json
 import statistics
+import subprocess
 import sys
 from pathlib import Path
-
-from snakejax import prepare_jax
-
-prepare_jax()
-
-from snakejax import explain, load_case, noise_of  # noqa: E402
-from snakejax._cli._setup import Clock, start_jax  # noqa: E402
-from snakejax.effects import LIBRARY  # noqa: E402
+from typing import Any
 
 
-def away(found, truth) -> str:
+def right(found: dict[str, Any], entry: dict[str, Any]) -> bool:
+    """Whether verdict, effects and, if the key has it, the first dependence are as in the key."""
+    if found["verdict"] != entry["verdict"] or set(found["effects"]) != set(entry["effects"]):
+        return False
+    return "depends_on" not in entry or found["unexplained"]["depends_on"][0]["variable"] == entry["depends_on"]
+
+
+def away(found: dict[str, Any], truth: dict[str, float]) -> str:
     """How many standard errors each value, of effects and tyre, is from the truth."""
-    parts = []
+    final, parts = found["final"], []
+    known = final["parameters"] | {f"{e}.{n}": v for e, values in final["effects"].items() for n, v in values.items()}
     for name, value in truth.items():
-        estimate = found.final.estimates.get(name)
-        if estimate is not None and estimate.sd:
-            parts.append(f"{name.split('.', 1)[1]} {(estimate.value - value) / estimate.sd:+.1f}")
+        estimate = known.get(name)
+        if estimate is not None and estimate["sd"]:
+            parts.append(f"{name} {(estimate['value'] - value) / estimate['sd']:+.1f}")
     return ", ".join(parts)
 
 
-def main(folder: Path, key: Path, names: list[str]) -> None:
-    """Print one line a case, and the median time."""
-    start_jax()
+def main(folder: Path, key: Path, out: Path, names: list[str]) -> None:
+    """Print what was found of each case, and the median time of those with a key."""
     known = {entry["case"]: entry for entry in json.loads(key.read_text())}
-    right, keyed, seconds = 0, 0, []
-    for name in names or sorted(known):
-        entry, case = known[name], load_case(folder / name)
-        clock = Clock()
-        found = explain(case, noise_of(case), {n: kind() for n, kind in LIBRARY.items()})
-        spent = clock.seconds()
-        seconds.append(spent["total"] - spent["compile"])
-        first = found.missing.depends_on[0] if found.missing is not None else None
-        good = found.verdict == entry["verdict"] and set(found.effects) == set(entry["effects"] or ())
-        good &= "depends_on" not in entry or (first is not None and first[0] == entry["depends_on"])
-        right += good
-        keyed += entry["verdict"] is not None
-        base, final = found.base, found.final
-        held = ["-" if s.heldout is None else f"{s.heldout.misfit:.4g}" for s in (base, final)]
-        print(
-            f"{name}: {'as in the key' if good else 'NOT as in the key' if entry['verdict'] else 'no key'}", flush=True
-        )
-        print(
-            f"  {found.verdict} {', '.join(found.effects)}"
-            + (f"; depends on {first[0]} ({first[1]:.2f})" if first else "")
-        )
-        print(f"  misfit train {base.train.misfit:.4g} -> {final.train.misfit:.4g}, held out {held[0]} -> {held[1]}")
-        truth = {f"effects.{n}": v for n, v in entry["values"].items()}
-        truth |= {f"tyre.{n}": v for n, v in entry["tyre"].items()}
-        if found.verdict != "unexplained":
-            print(f"  standard errors from the truth: {away(found, truth)}")
-        print(f"  {seconds[-1]:.1f} s, and {spent['compile']:.1f} s of compiling")
-    print(f"{right} of the {keyed} with a key as in the key; median {statistics.median(seconds):.1f} s after compilation")
+    names = names or sorted(known)
+    command = [sys.executable, "-m", "snakejax", "explain", *(str(folder / name) for name in names)]
+    subprocess.run([*command, "--out", str(out), "--quiet"], check=True)
+    good, seconds = 0, []
+    for name in names:
+        entry = known[name]
+        found = json.loads(((out / name if len(names) > 1 else out) / "explain.json").read_text())
+        spent = found["seconds"]["total"] - found["seconds"]["compile"]
+        if entry["verdict"]:
+            good += right(found, entry)
+            seconds.append(spent)
+            print(f"{name}: {'as in the key' if right(found, entry) else 'NOT as in the key'}")
+        else:
+            print(f"{name}: no key")
+        first = (found["unexplained"] or {}).get("depends_on") or ()
+        depends = "".join(f"; depends on {one['variable']} ({one['share']:.2f})" for one in first[:1])
+        print(f"  {found['verdict']} {', '.join(found['effects'])}{depends}")
+        falls = [
+            " -> ".join(f"{found[stage]['misfit'][role]:.4g}" for stage in ("base", "final"))
+            for role in ("train", "heldout")
+        ]
+        print(f"  misfit train {falls[0]}, held out {falls[1]}")
+        if found["verdict"] != "unexplained":
+            print(f"  standard errors from the truth: {away(found, entry['values'] | entry['tyre'])}")
+        print(f"  {spent:.1f} s, and {found['seconds']['compile']:.1f} s of compiling")
+    print(f"{good} of the {len(seconds)} with a key as in the key; median {statistics.median(seconds):.1f} s")
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3:])
+    main(Path(sys.argv[1]), Path(sys.argv[2]), Path(sys.argv[3]), sys.argv[4:])

@@ -9,7 +9,7 @@ import numpy as np
 
 from ._acceptance import better_structure, heldout_noise
 from ._align import aligned, with_clocks, with_log_errors
-from ._bench import HOPELESS, LATERAL_SKID
+from ._bench import HOPELESS, LATERAL_SKID, NEARLY
 from ._diagnose import Diagnosis, Question, diagnose, silent
 from ._effect import Effect
 from ._errors import FitError
@@ -22,6 +22,9 @@ from ._rank import rank, significant
 from ._recording import Case, Noise
 from ._stage import Stage, stage
 from ._starting import starting_model
+
+AGAIN = 2
+"""How often recordings whose joint logs have free clocks are explained once more."""
 
 
 class Explanation(eqx.Module):
@@ -62,17 +65,24 @@ def explain(
 ) -> Explanation:
     """Find out which effects of `library` the recordings of `case` show beyond the base model.
 
+    The free clocks of joint logs are found with them: from short windows first, then as the final model has them, with
+    which the recordings are explained once more, `AGAIN` times at most.
+
     **Arguments:** `show` is given each stage; `question`, see `Question`.
     **Raises:** `FitError` where the base cannot be fitted.
     """
     progress = question.get("progress", silent)
-    case = with_clocks(
-        starting_model(case, question.get("kind", "pacejka"), question.get("skid")), case, noise, progress
-    )
-    found = _explained(case, noise, library, show, question)
-    if any(free_clocks(run) for run in case.runs):
+    if not any(free_clocks(run) for run in case.runs):
+        return _with_errors(_explained(case, noise, library, show, question), progress)
+    model = starting_model(case, question.get("kind", "pacejka"), question.get("skid"))
+    found = _explained(with_clocks(model, case, noise, progress), noise, library, silent, question)
+    for _ in range(AGAIN):
         again = _with_clocks_of(found, progress)
-        found = _explained(again, noise, library, show, question) if again is not None else found
+        if again is None:
+            break
+        found = _explained(again, noise, library, silent, question)
+    for one in found.stages:
+        show(one)
     return _with_errors(found, progress)
 
 
@@ -105,10 +115,10 @@ def _with_clocks_of(found: Explanation, progress) -> Case | None:
 
 
 def _with_errors(found: Explanation, progress) -> Explanation:
-    """`found`, the estimates of its last stage with the errors that clocks and noise of joint logs bring."""
-    if all(run.log is None for run in found.case.runs):
-        return found
+    """`found`, the estimates of a last stage near the noise with the errors that joint logs bring."""
     last = found.final
+    if all(run.log is None for run in found.case.runs) or not last.step.optimum.misfit < NEARLY:
+        return found
     fit = described(last.bench.study, last.step.optimum)
     wider = with_log_errors(fit, progress)
     if wider is fit:
