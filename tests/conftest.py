@@ -17,10 +17,14 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 
+LONGEST = ("test_studies", "test_cli", "test_discriminate", "test_logs", "test_draws", "test_tune", "test_sweep")
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files with long tests first: the last file of a parallel run is then a short one."""
+    """Files with long tests first, and the longest at once: the last file of a parallel run is then a short one."""
     long = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: item.path not in long)
+    place = {name: k for k, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: (item.path not in long, place.get(item.path.stem, len(place))))
 
 
 @pytest.fixture(scope="session")
