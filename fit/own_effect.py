@@ -38,11 +38,12 @@ def main(folder: Path) -> tuple[sj.Explanation, sj.Explanation]:
     file.write_text(sj.starter(before.missing))
     print(file.read_text())
 
-    # 3. It competes with the others on equal terms, and explains the recording.
+    # 3. It competes with those that had helped, and explains the recording.
     sys.path.insert(0, str(folder))
     from missing_force import MissingForce
 
-    after = sj.explain(case, noise, {**candidates, "missing_force": MissingForce()})
+    rivals = {name: candidates[name] for name in before.partial}
+    after = sj.explain(case, noise, {**rivals, "missing_force": MissingForce()})
     print(f"{after.verdict}: {', '.join(after.effects)}, misfit {after.final.train.misfit:.4g}")
     for name, estimate in after.final.estimates.items():
         print(f"  {name} = {estimate.value:.5g} +- {estimate.sd:.2g} {estimate.unit}")

@@ -127,7 +127,7 @@ def test_what_cannot_be_designed_is_said_in_one_line(options, why, capsys) -> No
     assert why in said and said.count("\n") == 1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_designed_run_tells_apart_what_the_given_ones_do_not(tmp_path) -> None:
     """The study of `fit/`, on one pair: fits to made-up recordings are right as often as the design says."""
     next_run = study("next_run")

@@ -58,6 +58,7 @@ def test_the_story_of_a_bundled_recording(study, request, browser, tmp_path) -> 
     check(seen)
 
 
+@pytest.mark.long
 def test_the_claims_of_the_paper_are_found_as_documented(tmp_path, monkeypatch):
     """On fewer values than the documentation: which claims hold does not hang on how finely one looks."""
     paper = study("paper")
