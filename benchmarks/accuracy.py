@@ -38,7 +38,7 @@ import equinox as eqx  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
-from snakejax import Case, explain  # noqa: E402
+from snakejax import Case, Explanation, explain  # noqa: E402
 from snakejax._bench import Bench, Step  # noqa: E402
 from snakejax._prospects import prospects, sight  # noqa: E402
 from snakejax._refit import refit  # noqa: E402
@@ -218,28 +218,29 @@ def recorded(board: int, skid: str, name: str, strength: float) -> tuple[Case, f
     return boards.case(made, board, **{name: with_effect(name, value)}), value
 
 
-def explained(case: Case, skid: str, name: str, value: float) -> dict[str, Any]:
-    """What the whole loop makes of a recording with one effect."""
+def answered(case: Case) -> tuple[Explanation, dict[str, Any]]:
+    """What the whole loop makes of a recording, and what is kept of it."""
     begin = time.perf_counter()
     found = explain(case, boards.NOISE, CANDIDATES)
-    seconds = time.perf_counter() - begin
+    return found, {
+        "verdict": found.verdict,
+        "effects": found.effects,
+        "estimate": {n: [e.value, e.sd] for n, e in found.final.estimates.items()},
+        "misfit": [found.base.train.misfit, found.final.train.misfit],
+        "heldout": [stage.heldout.misfit if stage.heldout else None for stage in (found.base, found.final)],
+        "seconds": time.perf_counter() - begin,
+    }
+
+
+def explained(case: Case, skid: str, name: str, value: float) -> dict[str, Any]:
+    """What the whole loop makes of a recording with one effect."""
+    found, kept = answered(case)
     mine = next((r for r in found.base.ranking if r.effect == name), None)
     alike = {r.effect: r.confusable_with for r in found.base.ranking}
     right = len(found.effects) == 1 and (name in found.effects or name in alike[found.effects[0]])
-    return {
-        "skid": skid,
-        "effect": name,
-        "value": value,
-        "verdict": found.verdict,
-        "effects": found.effects,
-        "right": right,
-        "predicted": mine and mine.predicted_misfit,
-        "refitted": mine and mine.refit_misfit,
-        "estimate": {n: [e.value, e.sd] for n, e in found.final.estimates.items() if n.startswith("effects.")},
-        "misfit": [found.base.train.misfit, found.final.train.misfit],
-        "heldout": [stage.heldout.misfit if stage.heldout else None for stage in (found.base, found.final)],
-        "seconds": seconds,
-    }
+    predicted, refitted = mine and mine.predicted_misfit, mine and mine.refit_misfit
+    truth = {"skid": skid, "effect": name, "value": value}
+    return {**truth, **kept, "right": right, "predicted": predicted, "refitted": refitted}
 
 
 def strong(results: Results) -> None:
@@ -276,23 +277,11 @@ def couples() -> Iterator[tuple[int, str, str, dict[str, float]]]:
         yield 4000 + k, skid, "coupled" if k % 4 == 0 else skid, sizes
 
 
-def judged(case: Case, wanted: tuple[str, ...]) -> dict[str, Any]:
-    """What the whole loop makes of a recording whose effects are `wanted`."""
-    begin = time.perf_counter()
-    found = explain(case, boards.NOISE, CANDIDATES)
+def all_found(found: Explanation, wanted: tuple[str, ...]) -> bool:
+    """Whether a recording is explained by the effects that were `wanted`, or others that it cannot tell from them."""
     alike = {r.effect: r.confusable_with for r in found.final.ranking or found.base.ranking}
     same = [any(f == w or w in alike.get(f, ()) for f in found.effects) for w in wanted]
-    missing = found.missing
-    return {
-        "verdict": found.verdict,
-        "effects": found.effects,
-        "right": len(found.effects) == len(wanted) and all(same) and found.verdict == "explained",
-        "estimate": {n: [e.value, e.sd] for n, e in found.final.estimates.items()},
-        "misfit": [found.base.train.misfit, found.final.train.misfit],
-        "heldout": [stage.heldout.misfit if stage.heldout else None for stage in (found.base, found.final)],
-        "depends_on": missing and missing.depends_on[:2],
-        "seconds": time.perf_counter() - begin,
-    }
+    return len(found.effects) == len(wanted) and all(same) and found.verdict == "explained"
 
 
 def pairs(results: Results) -> None:
@@ -304,7 +293,8 @@ def pairs(results: Results) -> None:
             switched = ("lateral_skid",) if declared != skid else ()
             tyre = {name: float(value.value) for name, value in parameters(made.model.tyre).items()}
             truth = {"skid": skid, "declared": declared, "values": sizes, "tyre": tyre}
-            return {**truth, **judged(boards.case(made, board, declared, **effects), (*switched, *sizes))}
+            found, kept = answered(boards.case(made, board, declared, **effects))
+            return {**truth, **kept, "right": all_found(found, (*switched, *sizes))}
 
         results.once("pairs", str(board), work)
 
@@ -315,10 +305,11 @@ def strangers(results: Results) -> None:
 
             def work(k=k, skid=skid, name=name, effect=effect, variable=variable) -> dict[str, Any]:
                 made = boards.make_long(5000 + k, skid)
-                found = judged(boards.case(made, 5000 + k, **{name: effect}), ())
-                first = found["depends_on"] and found["depends_on"][0][0]
-                right = found["verdict"] == "unexplained" and first == variable
-                return {"skid": skid, "effect": name, "variable": variable, **found, "right": right}
+                found, kept = answered(boards.case(made, 5000 + k, **{name: effect}))
+                depends = found.missing and found.missing.depends_on[:2]
+                right = found.verdict == "unexplained" and bool(depends) and depends[0][0] == variable
+                truth = {"skid": skid, "effect": name, "variable": variable}
+                return {**truth, **kept, "depends_on": depends, "right": right}
 
             results.once("strangers", f"{skid} {name}", work)
 
@@ -362,7 +353,7 @@ def table(results: Results) -> None:
         ps = np.array([line["p"] for line in lines])
         shares = ", ".join(f"{level:g}: {100 * (ps < level).mean():.1f} %" for level in (0.01, 0.05, 0.2, 0.5))
         print(f"  share of boards whose smallest family-wise p-value is below {shares}")
-        print(f"  median {statistics.median(line['seconds'] for line in lines):.1f} s a board\n")
+        print(_median(lines))
     if lines := results.of("ranking"):
         _ranking_table([line for line in lines if line["value"] is not None])
         blind = sorted({f"{line['effect']} ({line['skid']})" for line in lines if line["value"] is None})
@@ -413,10 +404,23 @@ def _strong_table(lines: list[dict[str, Any]]) -> None:
     for line in lines:
         estimate = next((e for n, e in line["estimate"].items() if n.split(".")[1] == line["effect"]), None)
         found = "-" if estimate is None else f"{estimate[0]:.4g} +- {estimate[1] or math.nan:.1g}"
-        fall, unseen = (" -> ".join(f"{misfit:.4g}" for misfit in line[key]) for key in ("misfit", "heldout"))
-        wrong = "" if line["right"] else f"  {line['verdict']} {', '.join(line['effects'])}"
+        fall, unseen = _falls(line)
+        wrong = "" if line["right"] else f"  {_called(line)}"
         print(f"  {line['effect']:20} {line['skid']:8} {line['value']:8g} {found:>20} {fall:>20} {unseen:>20}{wrong}")
-    print(f"  median {statistics.median(line['seconds'] for line in lines):.1f} s a board\n")
+    print(_median(lines))
+
+
+def _called(line: dict[str, Any]) -> str:
+    return f"{line['verdict']} {', '.join(line['effects'])}"
+
+
+def _falls(line: dict[str, Any]) -> list[str]:
+    """How train and held-out misfits fell."""
+    return [" -> ".join(f"{misfit:.4g}" for misfit in line[key]) for key in ("misfit", "heldout")]
+
+
+def _median(lines: list[dict[str, Any]]) -> str:
+    return f"  median {statistics.median(line['seconds'] for line in lines):.1f} s a board\n"
 
 
 def _pairs_table(lines: list[dict[str, Any]]) -> None:
@@ -429,21 +433,20 @@ def _pairs_table(lines: list[dict[str, Any]]) -> None:
             mine = [e for n, e in line["estimate"].items() if name in n.split(".")]
             if mine and mine[0][1]:
                 away.append(f"{(mine[0][0] - value) / mine[0][1]:+.1f}")
-        falls = ", ".join(" -> ".join(f"{misfit:.4g}" for misfit in line[key]) for key in ("misfit", "heldout"))
-        wrong = "" if line["right"] else f"  {line['verdict']} {', '.join(line['effects'])}"
+        wrong = "" if line["right"] else f"  {_called(line)}"
+        falls = ", ".join(_falls(line))
         print(f"  {line['skid']:8}{switched}{parts}: {falls}, standard errors away {' '.join(away)}{wrong}")
-    print(f"  median {statistics.median(line['seconds'] for line in lines):.1f} s a board\n")
+    print(_median(lines))
 
 
 def _strangers_table(lines: list[dict[str, Any]]) -> None:
     print(f"Effects that no library holds, the whole loop: {sum(line['right'] for line in lines)} of {len(lines)}")
     for line in lines:
         depends = ", ".join(f"{name} {share:.2f}" for name, share in line["depends_on"] or ())
-        falls = ", ".join(" -> ".join(f"{misfit:.4g}" for misfit in line[key]) for key in ("misfit", "heldout"))
         wrong = "" if line["right"] else f"  ({line['variable']})"
-        called = f"{line['verdict']} {', '.join(line['effects'])}"
-        print(f"  {line['effect']:14}{line['skid']:8} {called}, {falls}, depends on {depends}{wrong}")
-    print(f"  median {statistics.median(line['seconds'] for line in lines):.1f} s a board\n")
+        said = ", ".join([_called(line), *_falls(line), f"depends on {depends}"])
+        print(f"  {line['effect']:14}{line['skid']:8} {said}{wrong}")
+    print(_median(lines))
 
 
 def _loop_table(lines: list[dict[str, Any]]) -> None:
@@ -455,8 +458,9 @@ def _loop_table(lines: list[dict[str, Any]]) -> None:
         print(f"  {strength:4g}: {right} / {silent} / {len(mine) - right - silent} of {len(mine)}")
     for line in lines:
         if line["verdict"] != "adequate" and not line["right"]:
-            called = f"{line['verdict']} {', '.join(line['effects'])}"
-            print(f"  {line['effect']} ({line['skid']}, {line['strength']:g}): {called}, misfit {line['misfit']}")
+            print(
+                f"  {line['effect']} ({line['skid']}, {line['strength']:g}): {_called(line)}, misfit {line['misfit']}"
+            )
     both = [line for line in lines if line["refitted"] is not None and line["predicted"] is not None]
     if both:
         away = [line["predicted"] - line["refitted"] for line in both]
@@ -464,7 +468,7 @@ def _loop_table(lines: list[dict[str, Any]]) -> None:
             f"  predicted less refitted misfit of the true effect, {len(both)} boards: median {np.median(away):+.4f},"
         )
         print(f"  90 % between {np.quantile(away, 0.05):+.4f} and {np.quantile(away, 0.95):+.4f}")
-    print(f"  median {statistics.median(line['seconds'] for line in lines):.1f} s a board\n")
+    print(_median(lines))
 
 
 PARTS = {part.__name__: part for part in (null, ranking, loop, strong, pairs, strangers, exhaustive, table)}

@@ -18,7 +18,7 @@ from ._errors import FitError
 from ._estimates import spread
 from ._fit import Fit, described, fit
 from ._least_squares import starts_removed
-from ._log_clocks import STEPS, STILL, by_clock, free_clocks, moved_clock, shifted
+from ._log_clocks import STEPS, STILL, by_clock, by_clocks, free_clocks, moved_clock
 from ._log_noise import is_noisy, replayed
 from ._model import Model
 from ._recording import Case, Noise, Run
@@ -157,18 +157,22 @@ def _linear(study: Study, optimum: Optimum, numbers: list[int], fitted: Optimum)
         there = study.at(optimum.values, fitted.free, optimum.start)
         optimum = optimum._replace(linearised=study.evaluate(there, numbers))
     count = sum(len(free_clocks(study.runs[k])) for k in numbers)
-    slopes = {name: _column(study, optimum, numbers, name) for name in STEPS} if count else {}
+
+    def residual(moved: Study) -> np.ndarray:
+        at = moved.at(optimum.values, optimum.free, optimum.start)
+        return np.asarray(moved.evaluate(at, numbers).residual)
+
+    slopes = {name: by_clocks(study, name, residual) for name in STEPS} if count else {}
     free_start = np.asarray(study.batch.free_start)
     columns, at = [], 0
     for k in numbers:
         names = free_clocks(study.runs[k])
-        r, J = starts_removed(optimum.linearised, k, study.width, free_start)
+        own = np.stack([slopes[name][k].reshape(-1) for name in names], axis=1) if names else None
+        r, J = starts_removed(optimum.linearised, k, study.width, free_start, own)
         part = np.zeros((r.size, count + len(loose)))
         part[:, count:] = J[:, loose]
-        if names:
-            own = np.stack([slopes[name][k].reshape(-1) for name in names], axis=1)
-            part[:, at : at + len(names)] = _without_starts(optimum, k, study.width, free_start, own)
-            at += len(names)
+        part[:, at : at + len(names)] = J[:, study.width :]
+        at += len(names)
         columns.append(part)
     if not all(np.isfinite(part).all() for part in columns):
         raise FitError("The clocks of the joint logs cannot be told: the model goes astray where they move by 4 ms.")
@@ -180,20 +184,3 @@ def _linear(study: Study, optimum: Optimum, numbers: list[int], fitted: Optimum)
     by_parameters = alone @ normal[:count, count:]
     covariance = alone + by_parameters @ fitted.covariance @ by_parameters.T
     return _Linear(numbers, count, columns, count, alone, covariance)
-
-
-def _without_starts(optimum: Optimum, run: int, width: int, free: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """`columns` (N, c) of one run less what its free start components explain."""
-    J = np.asarray(optimum.linearised.jacobian[run]).reshape(len(columns), -1)[:, width:]
-    q, _ = np.linalg.qr(J[:, (free[run] > 0) & ((J**2).sum(axis=0) > 0)])
-    return columns - q @ (q.T @ columns)
-
-
-def _column(study: Study, optimum: Optimum, numbers: list[int], name: str) -> np.ndarray:
-    """The derivative (R, n, 3) of the whitened residuals by the offset [s] or the drift of the logs' clocks."""
-    sides = []
-    for sign in (1, -1):
-        there = shifted(study, name, sign * STEPS[name])
-        at = there.at(optimum.values, optimum.free, optimum.start)
-        sides.append(np.asarray(there.evaluate(at, numbers).residual))
-    return (sides[0] - sides[1]) / (2 * STEPS[name])

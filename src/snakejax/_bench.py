@@ -7,6 +7,7 @@ from typing import NamedTuple
 import equinox as eqx
 
 from ._effect import Clock, Effect
+from ._log_clocks import free_clocks
 from ._model import Model
 from ._recording import Case, Noise
 from ._skid import Coupled
@@ -87,7 +88,7 @@ class Bench(eqx.Module):
 
 
 def _told_by_logs(effect: Effect, case: Case) -> str | None:
-    if isinstance(effect, Clock) and any(run.log is not None and "offset" in run.log.free for run in case.runs):
+    if isinstance(effect, Clock) and any("offset" in free_clocks(run) for run in case.runs):
         return "the clocks of the joint logs are estimated, run by run"
     return None
 

@@ -72,34 +72,34 @@ def explain(
     **Raises:** `FitError` where the base cannot be fitted.
     """
     progress = question.get("progress", silent)
-    if not any(free_clocks(run) for run in case.runs):
-        return _with_errors(_explained(case, noise, library, show, question), progress)
-    model = starting_model(case, question.get("kind", "pacejka"), question.get("skid"))
-    found = _explained(with_clocks(model, case, noise, progress), noise, library, silent, question)
-    for _ in range(AGAIN):
-        again = _with_clocks_of(found, progress)
+    free = any(free_clocks(run) for run in case.runs)
+    if free:
+        model = starting_model(case, question.get("kind", "pacejka"), question.get("skid"))
+        case = with_clocks(model, case, noise, progress)
+    tell = silent if free else show
+    found, stages = _followed(case, noise, library, tell, question)
+    for _ in range(AGAIN if free else 0):
+        again = _with_clocks_of(case, stages[-1], progress)
         if again is None:
             break
-        found = _explained(again, noise, library, silent, question)
-    for one in found.stages:
+        case = again
+        found, stages = _followed(case, noise, library, tell, question)
+    for one in stages if free else ():
         show(one)
-    return _with_errors(found, progress)
+    return _with_errors(_concluded(case, noise, found, stages, progress), progress)
 
 
-def _explained(case: Case, noise: Noise, library, show, question: Question) -> Explanation:
-    """`explain` with the joint logs on the clocks they have."""
+def _followed(case: Case, noise: Noise, library, show, question: Question) -> tuple[Diagnosis, list[Stage]]:
+    """The diagnosis, and all stages from the base on, with the joint logs on the clocks they have."""
     found = diagnose(case, noise, library, **question)
-    stages, progress = [found.base], question.get("progress", silent)
     show(found.base)
-    stages += _beyond(found, progress, show)
-    return _concluded(case, noise, found, stages, progress)
+    return found, [found.base, *_beyond(found, question.get("progress", silent), show)]
 
 
-def _with_clocks_of(found: Explanation, progress) -> Case | None:
-    """The case with the clocks of joint logs as its last model has them; None where it is too far off to tell them, or
+def _with_clocks_of(case: Case, last: Stage, progress) -> Case | None:
+    """`case` with the clocks of joint logs as the `last` model has them; None where it is too far off to tell them, or
     they stay where they are.
     """
-    last = found.final
     if not last.step.optimum.misfit < HOPELESS:
         return None
     try:
@@ -108,10 +108,10 @@ def _with_clocks_of(found: Explanation, progress) -> Case | None:
         return None
     stay = all(
         abs(getattr(new.log, name) - getattr(old.log, name)) < STILL * getattr(new.log, f"{name}_sd")
-        for new, old in zip(runs, found.case.runs, strict=True)
+        for new, old in zip(runs, case.runs, strict=True)
         for name in free_clocks(new)
     )
-    return None if stay else dataclasses.replace(found.case, runs=runs)
+    return None if stay else dataclasses.replace(case, runs=runs)
 
 
 def _with_errors(found: Explanation, progress) -> Explanation:

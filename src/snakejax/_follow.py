@@ -21,12 +21,12 @@ def follow(bench, step, ranking, before, progress, show) -> list[Stage]:
     """Add what helps most, one effect after the other, then try to do without each."""
     stages = list(before)
     if step.optimum.misfit > NEARLY and not ends_in_noise(ranking):
-        path, left = _together(bench, step, ranking, progress)
+        path, hopeless = _together(bench, step, ranking, progress)
         for name, then, ranks in path:
             step, ranking = then, ranks
             stages.append(stage(bench, "added", name, step, ranking))
             show(stages[-1])
-        if left > FAR and not step.optimum.misfit < HOPELESS:
+        if hopeless:
             # No set of effects explains even the windows: which of them help a little is not worth the time.
             return stages
     while len(step.effects) < MOST_EFFECTS and not (only_noise(step.optimum) and not significant(ranking)):
@@ -58,9 +58,9 @@ def follow(bench, step, ranking, before, progress, show) -> list[Stage]:
     return stages
 
 
-def _together(bench, step, ranking, progress) -> tuple[list[tuple[str, Step, tuple[Ranked, ...]]], float]:
-    """The steps to the set of effects that explains the windows together and whole runs best, or none; and the misfit
-    of the windows that the best of all sets leaves.
+def _together(bench, step, ranking, progress) -> tuple[list[tuple[str, Step, tuple[Ranked, ...]]], bool]:
+    """The steps to the set of effects that explains the windows together and whole runs best, or none; and whether they
+    end far from the recordings and no set explains even the windows.
 
     Far from the recordings whole runs cannot say which of two missing effects comes first; short windows can say which
     pair leaves least.
@@ -68,26 +68,29 @@ def _together(bench, step, ranking, progress) -> tuple[list[tuple[str, Step, tup
     first = [r.prospect for r in sorted(ranking, key=lambda r: r.predicted_misfit or np.inf) if r.prospect is not None]
     sets = accomplices(bench, step, first, len(step.effects) + 3, progress)
     best_on_windows = sets[0].misfit if sets else np.inf
+
+    def hopeless(last: Step) -> bool:
+        return best_on_windows > FAR and not last.optimum.misfit < HOPELESS
+
     tried = [s for s in sets if s.misfit - 1 < 2 * max(best_on_windows - 1, 0.02)][:3]
     progress(f"refitting {len(tried)} sets of effects on whole runs")
     refits = [Step(s.effects, refit(bench, s.effects, s.values, near=s.misfit < CLOSE)) for s in tried]
     refits = [r for r in refits if r.optimum.misfit < step.optimum.misfit]
     if not refits:
-        return [], best_on_windows
+        return [], hopeless(step)
     best = min(
         refits,
         key=lambda r: (not only_noise(r.optimum), len(r.effects) if only_noise(r.optimum) else 0, r.optimum.misfit),
     )
     if not better(bench, step, best):
-        return [], best_on_windows
+        return [], hopeless(step)
     path = []
     for count in range(len(step.effects) + 1, len(best.effects)):
         part = best.effects[:count]
         path.append((part[-1], Step(part, refit(bench, part, best.optimum.values, near=False)), ()))
-    hopeless = best_on_windows > FAR and not best.optimum.misfit < HOPELESS
-    ranks = () if hopeless else tuple(rank(bench, best, progress=progress))
+    ranks = () if hopeless(best) else tuple(rank(bench, best, progress=progress))
     path.append((best.effects[-1], best, ranks))
-    return path, best_on_windows
+    return path, hopeless(best)
 
 
 def _settled_without(bench: Bench, step: Step, rest: Sequence[str]) -> Optimum:

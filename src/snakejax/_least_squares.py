@@ -231,9 +231,10 @@ def solve(
 
 
 def starts_removed(
-    found: Linearised, run: int, width: int, free_start: np.ndarray
+    found: Linearised, run: int, width: int, free_start: np.ndarray, beside: np.ndarray | None = None
 ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N K"]]:
-    """Residual and parameter columns of one run, with what its free start components explain projected out.
+    """Residual and parameter columns of one run, and columns (N, c) `beside` these, with what its free start components
+    explain projected out.
 
     A component that moves nothing, such as the memory of an effect at its neutral value, explains nothing.
     """
@@ -241,7 +242,8 @@ def starts_removed(
     J = np.asarray(found.jacobian[run]).reshape(r.size, -1)
     felt = (free_start[run] > 0) & ((J[:, width:] ** 2).sum(axis=0) > 0)
     q, _ = np.linalg.qr(J[:, width:][:, felt])
-    return r - q @ (q.T @ r), J[:, :width] - q @ (q.T @ J[:, :width])
+    columns = J[:, :width] if beside is None else np.concatenate([J[:, :width], beside], axis=1)
+    return r - q @ (q.T @ r), columns - q @ (q.T @ columns)
 
 
 def basis(columns: Float[np.ndarray, "N K"], smallest: float) -> Float[np.ndarray, "N k"]:

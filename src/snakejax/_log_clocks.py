@@ -1,7 +1,7 @@
 """The free clocks of joint logs, and runs whose clocks have moved."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import equinox as eqx
 import jax
@@ -48,8 +48,14 @@ def moved_clock(run: Run, step: Mapping[str, float], sd: Mapping[str, float], so
     return dataclasses.replace(run, gait=on_clock(run.gait, jnp.asarray(offset), jnp.asarray(drift)), log=new)
 
 
-def shifted(study: Study, name: str, amount: float) -> Study:
-    """`study` with the "offset" or "drift" of every log's clock moved by `amount`."""
-    offset, drift = (amount * (name == kind) for kind in ("offset", "drift"))
-    gaits = jax.vmap(lambda gait: on_clock(gait, offset, drift))(study.batch.gait)
-    return eqx.tree_at(lambda s: s.batch.gait, study, gaits)
+def by_clocks(
+    study: Study, name: str, residual: Callable[[Study], Float[np.ndarray, "R n 3"]]
+) -> Float[np.ndarray, "R n 3"]:
+    """The derivative of the whitened `residual` by the "offset" [s] or the "drift" of every log's clock."""
+
+    def side(amount: float) -> np.ndarray:
+        offset, drift = (amount * (name == kind) for kind in ("offset", "drift"))
+        gaits = jax.vmap(lambda gait: on_clock(gait, offset, drift))(study.batch.gait)
+        return np.asarray(residual(eqx.tree_at(lambda s: s.batch.gait, study, gaits)))
+
+    return (side(STEPS[name]) - side(-STEPS[name])) / (2 * STEPS[name])

@@ -9,11 +9,13 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from ._log_clocks import STEPS, STILL, by_clock, free_clocks, moved_clock, shifted
+from ._least_squares import starts_removed
+from ._log_clocks import STILL, by_clock, by_clocks, free_clocks, moved_clock
 from ._model import Model
 from ._recording import Noise, Run
 from ._skid import Coupled, Free
 from ._study import Study, dependence_of, inverse
+from ._units import parameters
 from ._windows import LENGTH, Settled, Windows
 
 ROUNDS = 8
@@ -36,7 +38,8 @@ def window_clocks(
     moved = list(runs)
     if not isinstance(model.skid, Coupled | Free):
         return tuple(moved)
-    values = Study.of(model, runs, noise, free, max(len(free), 1)).values()
+    known = parameters(model)
+    values = {name: float(known[name].value) for name in free}
     for role in ("train", "heldout"):
         numbers = [k for k, run in enumerate(runs) if run.role == role]
         if not any(free_clocks(runs[k]) for k in numbers):
@@ -64,24 +67,24 @@ def _step(
     """
     study, found = windows.study, settled.found
     clocks = [(runs[k].name, name) for k in numbers for name in free_clocks(runs[k])]
-    slopes = {name: _slope(windows, settled, name) for _, name in clocks}
+
+    def residual(moved: Study) -> np.ndarray:
+        return np.asarray(Windows(moved).at(settled.values, settled.start, ()).residual)
+
+    slopes = {name: by_clocks(study, name, residual) for name in {name for _, name in clocks}}
     count, P, free_start = len(clocks), len(free), np.asarray(study.batch.free_start)
     normal, right = np.zeros((count + P,) * 2), np.zeros(count + P)
     for w, window in enumerate(study.runs):
-        r = found.residual[w].reshape(-1)
-        J = found.jacobian[w].reshape(r.size, -1)
-        columns = np.zeros((r.size, count + P))
-        columns[:, count:] = J[:, :P]
+        own = np.zeros((found.residual[w].size, count))
         for place, (run, name) in enumerate(clocks):
             if window.name.rsplit("[", 1)[0] == run:
-                columns[:, place] = slopes[name][w].reshape(-1)
-        if not (np.isfinite(r).all() and np.isfinite(columns).all()):
+                own[:, place] = slopes[name][w].reshape(-1)
+        if not all(np.isfinite(part).all() for part in (found.residual[w], found.jacobian[w], own)):
             continue
-        starts = J[:, study.width :]
-        q, _ = np.linalg.qr(starts[:, (free_start[w] > 0) & ((starts**2).sum(axis=0) > 0)])
-        columns -= q @ (q.T @ columns)
+        r, J = starts_removed(found, w, study.width, free_start, own)
+        columns = np.concatenate([J[:, study.width :], J[:, :P]], axis=1)
         normal += columns.T @ columns
-        right -= columns.T @ (r - q @ (q.T @ r))
+        right -= columns.T @ r
     pull, strength = study.typical(settled.values, free)
     misfit = settled.cost / max(found.residual.size, 1)
     precision = dependence_of(misfit) * strength[:P] ** 2
@@ -92,13 +95,3 @@ def _step(
     step = np.clip((covariance @ right)[:count], -most, most)
     sd = np.sqrt(np.diag(covariance)[:count])
     return step, sd, sd * np.sqrt(max(misfit, 1.0) * dependence_of(misfit))
-
-
-def _slope(windows: Windows, settled: Settled, name: str) -> Float[np.ndarray, "W n 3"]:
-    """The derivative of the whitened residuals by the offset [s] or the drift of the logs' clocks."""
-
-    def side(amount: float) -> np.ndarray:
-        there = Windows(shifted(windows.study, name, amount))
-        return np.asarray(there.at(settled.values, settled.start, ()).residual)
-
-    return (side(STEPS[name]) - side(-STEPS[name])) / (2 * STEPS[name])
