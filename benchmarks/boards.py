@@ -169,6 +169,62 @@ class SteeringDrag(Force):
         return X, jnp.zeros_like(X), jnp.zeros_like(X)
 
 
+class Patch(Grip):
+    """A grip that is less by the share g where y is above 0.1 m."""
+
+    g: Scalar = param("-", default=0.0)
+
+    def lateral(self, force, wheel, motion):
+        return force * (1 - self.g * 0.5 * (1 + jnp.tanh((motion.y - 0.1) / 0.15)))
+
+
+class Pile(Grip):
+    """A grip that depends on the heading as that of a carpet whose pile lies along 0.3 rad: by up to the share g."""
+
+    g: Scalar = param("-", default=0.0)
+
+    def lateral(self, force, wheel, motion):
+        return force * (1 - self.g * jnp.cos(motion.theta - 0.3))
+
+
+class FastGrip(Grip):
+    """A grip that falls with the speed of the board, by up to the share g."""
+
+    g: Scalar = param("-", default=0.0)
+
+    def lateral(self, force, wheel, motion):
+        return force * (1 - self.g * jnp.tanh((motion.u**2 + motion.w**2) / 0.3**2))
+
+
+class SteeringGrip(Grip):
+    """A grip that falls with the steering angle, by up to the share g."""
+
+    g: Scalar = param("-", default=0.0)
+
+    def lateral(self, force, wheel, motion):
+        return force * (1 - self.g * jnp.tanh((motion.steering.angle / 0.5) ** 2))
+
+
+class Cable(Force):
+    """A yaw moment of k N m/rad against the angle of the rotor: a cable that is wound up."""
+
+    k: Scalar = param("N m/rad", default=0.0)
+
+    def wrench(self, motion):
+        zero = jnp.zeros_like(motion.theta)
+        return zero, zero, -self.k * motion.rotor.angle
+
+
+class Kick(Force):
+    """A force of c N s^2 forwards with the square of the steering rate."""
+
+    c: Scalar = param("N s^2/rad^2", default=0.0)
+
+    def wrench(self, motion):
+        X = self.c * motion.steering.rate**2
+        return X, jnp.zeros_like(X), jnp.zeros_like(X)
+
+
 STRANGERS = {
     "spring": (Spring(0.15), "world_position"),
     "carpet": (Carpet(1.5), "world_position"),
@@ -176,5 +232,11 @@ STRANGERS = {
     "warming": (Warming(0.35), "time"),
     "rotor_shake": (RotorShake(0.35), "rotor_rate"),
     "steering_drag": (SteeringDrag(1.0), "steering_angle"),
+    "patch": (Patch(0.4), "world_position"),
+    "pile": (Pile(0.3), "heading"),
+    "fast_grip": (FastGrip(0.4), "speed"),
+    "steering_grip": (SteeringGrip(0.3), "steering_angle"),
+    "cable": (Cable(0.01), "rotor_angle"),
+    "kick": (Kick(0.05), "steering_rate"),
 }
 """Effects that no library holds, and the variable on which each depends."""

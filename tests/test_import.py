@@ -230,3 +230,19 @@ def test_nothing_is_written_over(tmp_path, capsys):
     assert main(["import", path, "--out", str(tmp_path / "case")]) == 2
     assert "it is kept" in capsys.readouterr().err
     assert (tmp_path / "case" / "case.toml").read_text().count("[[runs]]") == 1
+
+
+def test_where_the_x_axis_points_is_written_down(tmp_path, capsys):
+    """Also of a bag, whose table keeps the object's own axes; a conversion has no place for it."""
+    path = put(tmp_path, motive(motion(200)))
+    imported(path, "--out", tmp_path / "case", *GIVEN, "--x-axis", "left")
+    imported(path, "--out", tmp_path / "plain", *GIVEN)
+    turned, plain = (np.asarray(load_case(tmp_path / name).runs[0].pose) for name in ("case", "plain"))
+    np.testing.assert_allclose(turned, plain - [0.0, 0.0, np.pi / 2], rtol=0, atol=1e-12)
+    assert main(["import", str(path), "--to", str(tmp_path / "a.csv"), "--x-axis", "left"]) == 2
+    assert main(["import", str(path), "--x-axis", "up"]) == 2
+    told = capsys.readouterr().err.splitlines()
+    assert [line.split(", option")[0].removeprefix("snakejax: error: ") for line in told] == [
+        "A converted object keeps its axes",
+        "`up` is nowhere on a board",
+    ]

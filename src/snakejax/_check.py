@@ -11,7 +11,7 @@ import numpy as np
 from ._errors import InputError
 from ._gait import AbstractSignal, Tracked
 from ._recording import Case, Run
-from .quality import Inspection, clocks, estimate_noise, inspected
+from .quality import Finding, Inspection, clocks, estimate_noise, inspected
 
 Severity = Literal["note", "doubtful"]
 
@@ -53,14 +53,18 @@ def check(case: Case, folder: Path | str | None = None, inspection: Inspection |
     """
     seen = inspection or inspected(case)
     found = [*_whole(case), *_noise(seen.case), *(_unused(case, Path(folder)) if folder is not None else ())]
+    found += [_doubt(f) for f in seen.findings if f.run is None]
     for run, mended in zip(case.runs, seen.case.runs, strict=True):
         of_run = [f for f in seen.findings if f.run == run.name]
         if not any(f.severity == "refused" for f in of_run) and run.log is None:
             of_run += clocks(mended)
-        for f in of_run:
-            found.append(Doubt(run.name, f.what, "note" if f.severity == "note" else "doubtful", f.remedy))
+        found += [_doubt(f._replace(run=run.name)) for f in of_run]
         found += _steering(run)
     return found
+
+
+def _doubt(f: Finding) -> Doubt:
+    return Doubt(f.run, f.what, "note" if f.severity == "note" else "doubtful", f.remedy)
 
 
 def check_text(case: Case, doubts: Sequence[Doubt]) -> str:

@@ -1,9 +1,9 @@
 """What `[[runs]]` says of a recording that its file does not say itself."""
 
 from ._toml import Table
-from .readers import UPRIGHT, Hints
+from .readers import POINTING, UPRIGHT, Hints
 
-HINT_KEYS = ("columns", "units", "up", "markers")
+HINT_KEYS = ("columns", "units", "up", "markers", "x_axis")
 
 
 def hints_of(row: Table) -> Hints:
@@ -24,4 +24,5 @@ def hints_of(row: Table) -> Hints:
             raise row.error("up", "has no direction", 'write up = "z" or the components of what points up')
     elif up is not None:
         up = row.choice("up", tuple(UPRIGHT))
-    return Hints(columns, units, up, markers)
+    x_axis = row.choice("x_axis", tuple(POINTING)) if "x_axis" in row.values else "forward"
+    return Hints(columns, units, up, markers, x_axis)

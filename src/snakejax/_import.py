@@ -176,7 +176,8 @@ def to_fill_in(folder: Path) -> list[str]:
 
 
 def _run_text(name: str, wanted: Wanted, log: str | None, capture: Capture) -> str:
-    hints = wanted.hints if capture.format not in CONVERTED else Hints()
+    # What was converted says all but where the axes of the object point.
+    hints = wanted.hints if capture.format not in CONVERTED else Hints(x_axis=wanted.hints.x_axis)
     lines = ["[[runs]]", f'role = "{wanted.role}"', f"mocap = {toml_string(name)}"]
     lines += [f"object = {toml_string(wanted.object or 'board')}"]
     if hints.columns:
@@ -185,6 +186,8 @@ def _run_text(name: str, wanted: Wanted, log: str | None, capture: Capture) -> s
         lines.append(f"units = {_inline({key: toml_string(unit) for key, unit in hints.units.items()})}")
     if hints.up is not None:
         lines.append(f"up = {toml_string(hints.up) if isinstance(hints.up, str) else list(hints.up)}")
+    if hints.x_axis != "forward":
+        lines.append(f'x_axis = "{hints.x_axis}"')
     if hints.markers:
         lines.append(f"markers = {_inline({key: str(list(place)) for key, place in hints.markers.items()})}")
     elif wanted.object in subjects(capture) and wanted.object not in capture.bodies:

@@ -187,11 +187,12 @@ def quality_report(seen: Inspection) -> RenderableType:
     lost = f"{len(runs)} runs, {frames} frames, {1 - there / max(frames, 1):.1%} of them lost"
     if not seen.findings:
         return Text(f"recordings: {lost}; nothing is wrong with them", style="dim")
-    table = plain_table("run", "from [s]", "to [s]", "found", "done", right=("from [s]", "to [s]"))
-    done = {"mask": "masked", "turn": "turned back", "none": "nothing"}
+    table = plain_table("run", "from [s]", "to [s]", "found", "done, or to do", right=("from [s]", "to [s]"))
+    done = {"mask": "masked", "turn": "turned back"}
     for f in seen.findings[:MOST_FINDINGS]:
-        acted = done[f.action] if f.applied else "nothing"
-        add_row(table, f.run or "", f"{f.start:.2f}", f"{f.end:.2f}", f.what, acted)
+        acted = done[f.action] if f.applied else f.remedy
+        when = ("", "") if f.run is None else (f"{f.start:.2f}", f"{f.end:.2f}")
+        add_row(table, f.run or "all", *when, f.what, acted)
     more = len(seen.findings) - MOST_FINDINGS
     end = f"{more} more findings are in the JSON; " if more > 0 else ""
     how = "as recorded" if seen.as_recorded else f"{sum(seen.masked.values())} frames masked"

@@ -49,6 +49,7 @@ def add(commands: Any) -> None:
     which.add_argument("--columns", metavar="MAP", help='of a plain table: "time=t,x=pos x,y=pos y,heading=yaw"')
     which.add_argument("--units", metavar="MAP", help="of a plain table: length=mm,angle=deg,time=ms; else SI")
     which.add_argument("--up", metavar="AXIS", help="the axis that points up; else found from the motion")
+    which.add_argument("--x-axis", metavar="WHERE", help="the object's x axis: forward (default), left, back, right")
     which.add_argument("--markers", metavar="NAMES", help="those on the board (default all of the object)")
     which.add_argument("--front", metavar="NAMES", help="the marker, or markers, at the board's front end")
     which.add_argument("--back", metavar="NAMES", help="and at its back end; its middle lies between")
@@ -73,6 +74,9 @@ def run(options: argparse.Namespace) -> int:
     hints = _hints(options)
     if options.to and (options.out or len(options.files) > 1):
         raise InputError("One FILE is converted at a time, without --out", "option --to", "run it again for the others")
+    if options.to and options.x_axis is not None:
+        where = f"option --x-axis {options.x_axis}"
+        raise InputError("A converted object keeps its axes", where, "give it with --out, or in case.toml")
     if options.out and options.board and (Path(options.out) / "case.toml").exists():
         where = f"option --board {','.join(options.board)}"
         raise InputError("The case is there already, and has its board", where, "change it in its case.toml")
@@ -103,12 +107,16 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _hints(options: argparse.Namespace) -> "Hints":
-    from ..readers import UPRIGHT, Hints
+    from ..readers import POINTING, UPRIGHT, Hints
 
     columns, units = (_pairs(getattr(options, name), f"option --{name}") for name in ("columns", "units"))
     if options.up is not None and options.up not in UPRIGHT:
         raise InputError(f"`{options.up}` is no axis", "option --up", f"write one of {', '.join(UPRIGHT)}")
-    return Hints(columns, units, options.up)
+    x_axis = options.x_axis or "forward"
+    if x_axis not in POINTING:
+        what = f"`{x_axis}` is nowhere on a board"
+        raise InputError(what, "option --x-axis", f"write one of {', '.join(POINTING)}")
+    return Hints(columns, units, options.up, x_axis=x_axis)
 
 
 def _pairs(text: str | None, where: str) -> dict[str, str] | None:

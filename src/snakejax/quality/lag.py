@@ -9,22 +9,17 @@ import dataclasses
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
-from scipy.signal import savgol_filter
 
 from .._errors import InputError
-from .._gait import AbstractSignal, on_clock
+from .._gait import on_clock
 from .._recording import LogClock, Run
 from .finding import Finding, Track, finding
+from .joints import SMOOTH, STEP, Joints, beside_joints
 
-SMOOTH = 0.21
-"""Width [s] of the cubics that give the rates."""
 FAR = 3.0
 """Within this [s] the clocks of a log and of the cameras are searched for their lag."""
-STEP, COARSE = 0.01, 0.05
+COARSE = 0.05
 WHOLE = 1.0
 """Lags of commanded gaits are looked for within this [s]."""
 APART = 0.25
@@ -43,22 +38,11 @@ class Lag(NamedTuple):
     left: float
 
 
-class _Seen(NamedTuple):
-    """The motion at steady `times` [s]: forward speed `u` and yaw rate `r`; the joint angles at the times `fine`."""
-
-    times: Float[np.ndarray, " n"]
-    u: Float[np.ndarray, " n"]
-    r: Float[np.ndarray, " n"]
-    fine: Float[np.ndarray, " m"]
-    phi: Float[np.ndarray, " m"]
-    psi: Float[np.ndarray, " m"]
-
-
 def lag(run: Run, most: float = 2.0) -> Lag | None:
     """The lag between the joints of `run` and its motion, within `most` [s] either way; None where they do not go
     together: the board or its joints stand still.
     """
-    seen = _motion(run, most)
+    seen = beside_joints(run, most)
     return None if seen is None else _best(seen, 0.0, most)
 
 
@@ -95,20 +79,7 @@ def clocks(run: Run) -> list[Finding]:
     return [finding("clock_offset", track, every, what, remedy, size=abs(found.offset), unit="s")]
 
 
-def _motion(run: Run, most: float) -> _Seen | None:
-    seen = Track.of(run).seen()
-    if len(seen.times) < 50:
-        return None
-    frame = float(np.median(np.diff(seen.times)))
-    times = np.arange(seen.times[0], seen.times[-1], frame)
-    pose = np.stack([np.interp(times, seen.times, channel) for channel in seen.pose.T], axis=1)
-    x, y, r = _rates(pose, frame).T
-    u = x * np.cos(pose[:, 2]) + y * np.sin(pose[:, 2])
-    fine = np.arange(times[0] - most - 0.5, times[-1] + most + 0.5, STEP)
-    return _Seen(times, u, r, fine, _angles(run.gait.phi, fine), _angles(run.gait.psi, fine))
-
-
-def _best(seen: _Seen, around: float, most: float) -> Lag | None:
+def _best(seen: Joints, around: float, most: float) -> Lag | None:
     def left(offsets: np.ndarray) -> np.ndarray:
         return np.array([_left(seen, offset) for offset in offsets])
 
@@ -131,22 +102,11 @@ def _best(seen: _Seen, around: float, most: float) -> Lag | None:
     return Lag(float(best), float(np.hypot(noisy, MODEL_ERROR)), float(found[k]))
 
 
-def _rates(values: Float[np.ndarray, "n c"], frame: float) -> Float[np.ndarray, "n c"]:
-    width = max(5, round(SMOOTH / frame) // 2 * 2 + 1)
-    return np.asarray(savgol_filter(values, width, 3, deriv=1, delta=frame, axis=0))
-
-
-def _angles(signal: AbstractSignal, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """The joint's angle; before time 0 it stands where it starts."""
-    return np.asarray(jax.vmap(lambda t: signal.at(t).angle)(jnp.asarray(np.maximum(times, 0.0))))
-
-
-def _left(seen: _Seen, offset: float) -> float:
+def _left(seen: Joints, offset: float) -> float:
     """The share of the yaw rate that joints `offset` ahead leave; inf where the signs are wrong."""
-    at, u, r = seen.times + offset, seen.u, seen.r
-    steer, turn = np.interp(at, seen.fine, seen.phi), np.interp(at, seen.fine, seen.psi)
-    against = _rates(turn[:, None], float(seen.times[1] - seen.times[0]))[:, 0]
-    features = np.stack([against, u * np.tan(np.clip(steer, -1.4, 1.4)), np.ones_like(u), steer, u], axis=1)
+    against, steer = seen.at(offset)
+    u, r = seen.u, seen.r
+    features = np.stack([against, u * np.tan(steer), np.ones_like(u), steer, u], axis=1)
     sizes = np.sqrt((features**2).sum(axis=0))
     if not (sizes[:2] > 1e-9).all():
         return np.inf

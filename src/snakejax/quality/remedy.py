@@ -10,6 +10,7 @@ import numpy as np
 from .._errors import InputError
 from .._recording import Case, Run
 from .clock import backward, stray
+from .conventions import conventions
 from .finding import Finding, Track
 from .frames import copied, frozen, gaps
 from .heading import flips, half_turns, turned_back
@@ -101,6 +102,8 @@ def inspected(case: Case, as_recorded: bool = False) -> Inspection:
         better, found = inspect_run(run, case.area)
         runs.append(better)
         findings += found
+    if not any(f.severity == "refused" for f in findings):
+        findings += conventions(runs)
     if as_recorded:
         return Inspection(case, tuple(f._replace(applied=False) for f in findings), True)
     touched = any(a is not b for a, b in zip(runs, case.runs, strict=True))

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from .._errors import InputError, at_line
 from . import c3d, motive, parquet, plain, qualisys, ros_bag, trc, vicon
+from ._capture import POINTING as POINTING
 from ._capture import Body as Body
 from ._capture import Capture as Capture
 from ._capture import Hints as Hints

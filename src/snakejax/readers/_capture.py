@@ -56,18 +56,23 @@ class Capture(NamedTuple):
     notes: Sequence[str] = ()
 
 
+POINTING = {"forward": 0.0, "left": np.pi / 2, "back": np.pi, "right": -np.pi / 2}
+"""Heading [rad] of an object's x axis from that of the board, by where on the board it points."""
+
+
 class Hints(NamedTuple):
     """What a user says of a file that it does not say itself; None is what the format usually has.
 
     `columns` of a plain table by what they hold, `units` by "length", "angle" and "time", the axis that points `up`, or
-    its components, and where `markers` sit on the board, (x, y, z) [m] by name from the
-    board's middle, x forward and z up.
+    its components, where `markers` sit on the board, (x, y, z) [m] by name from the board's middle, x forward and z up,
+    and where on the board the object's `x_axis` points, one of `POINTING`.
     """
 
     columns: Mapping[str, str] | None = None
     units: Mapping[str, str] | None = None
     up: str | Sequence[float] | None = None
     markers: Mapping[str, Sequence[float]] | None = None
+    x_axis: str = "forward"
 
 
 class Source:

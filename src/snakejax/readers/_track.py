@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._errors import InputError, instead_of
-from ._capture import Body, Capture, Hints
+from ._capture import POINTING, Body, Capture, Hints
 from ._rigid import LEAST_SPREAD, Placed, placed
 from ._text import shown
 from ._turn import AXES, heading_of, unwrapped, upright
@@ -101,7 +101,8 @@ def listed(word: str, there: Sequence[str], most: int = 12) -> str:
 
 def track_of(capture: Capture, object: str, hints: Hints = Hints()) -> Track:  # noqa: B008
     """The planar motion of `object`. **Raises:** `InputError`."""
-    return planar(body_of(capture, object, hints), hints.up or capture.up, capture.rate, object)
+    track = planar(body_of(capture, object, hints), hints.up or capture.up, capture.rate, object)
+    return track._replace(pose=track.pose - np.array([0.0, 0.0, POINTING[hints.x_axis]]))
 
 
 def planar(body: Body, up: str | Sequence[float], rate: float | None, name: str) -> Track:

@@ -1,0 +1,102 @@
+"""Axes and signs taken the other way are noticed by how the board turns, and mended by what the finding says."""
+
+from pathlib import Path
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from conftest import beside
+
+from snakejax import load_case
+from snakejax.quality import inspected
+
+DATA = Path(__file__).resolve().parents[1] / "data"
+BUNDLED = sorted(path.parent for path in DATA.glob("*/case.toml"))
+QUARTER = np.pi / 2
+TURNED = {QUARTER: "left", 2 * QUARTER: "back", -QUARTER: "right"}
+"""Where the x axis points whose heading is so far ahead of the board's."""
+
+
+def turned(run, by):
+    return eqx.tree_at(lambda r: r.pose, run, run.pose + jnp.array([[0.0, 0.0, by]]))
+
+
+def negated(run, joint):
+    return eqx.tree_at(lambda r: getattr(r.gait, joint).command.amplitude, run, replace_fn=lambda a: -a)
+
+
+def mirrored(run):
+    return eqx.tree_at(lambda r: r.pose, run, run.pose * jnp.array([[1.0, -1.0, -1.0]]))
+
+
+def said(case, runs):
+    """Kind, words and run of what is found in `runs`."""
+    return [(f.kind, f.what, f.run) for f in inspected(eqx.tree_at(lambda c: c.runs, case, tuple(runs))).findings]
+
+
+def every_case():
+    folder = beside("recordings")
+    return [load_case(path) for path in [*BUNDLED, *sorted(folder.glob("board-?"))]]
+
+
+def test_nothing_is_found_in_recordings_as_they_are():
+    for case in every_case():
+        assert not {"turned_axis", "mirrored", "rotor_sign"} & {kind for kind, *_ in said(case, case.runs)}
+
+
+@pytest.mark.parametrize("by", TURNED)
+def test_an_axis_that_does_not_point_forward_is_found(by):
+    for case in every_case():
+        found = said(case, [turned(run, by) for run in case.runs])
+        assert [(kind, what.endswith(f"pointed {TURNED[by]}"), run) for kind, what, run in found] == [
+            ("turned_axis", True, None)
+        ]
+
+
+def test_signs_taken_the_other_way_are_found():
+    for case in every_case():
+        assert [kind for kind, *_ in said(case, [negated(run, "psi") for run in case.runs])] == ["rotor_sign"]
+        assert [kind for kind, *_ in said(case, [negated(run, "phi") for run in case.runs])] == ["turned_axis"]
+        assert [kind for kind, *_ in said(case, [mirrored(run) for run in case.runs])] == ["mirrored"]
+        both = [negated(negated(run, "phi"), "psi") for run in case.runs]
+        assert [kind for kind, *_ in said(case, both)] == ["mirrored"]
+
+
+@pytest.mark.parametrize("by", TURNED)
+def test_one_run_turned_against_the_others_is_named(by):
+    case = load_case(DATA / "level-board")
+    for k, run in enumerate(case.runs):
+        found = said(case, [turned(r, by) if j == k else r for j, r in enumerate(case.runs)])
+        # A board that turns on the spot says little of the direction in which it rolls.
+        assert (
+            found == []
+            if "rotate" in run.name
+            else [(kind, run) for kind, _, run in found] == [("turned_axis", run.name)]
+        )
+
+
+def copied(folder, runs, key):
+    """`level-board` with one train run and `key` in it, the heading of its file turned by half a turn."""
+    case = (DATA / "level-board" / "case.toml").read_text(encoding="utf-8")
+    head, *parts = case.split("[[runs]]")
+    folder.mkdir()
+    (folder / "case.toml").write_text(head + "".join(f"[[runs]]{part.rstrip()}\n{key}\n\n" for part in parts[:runs]))
+    for path in (DATA / "level-board").glob("*.csv"):
+        text = path.read_text(encoding="utf-8")
+        (folder / path.name).write_text(text, encoding="utf-8")
+    return folder
+
+
+@pytest.mark.parametrize(("by", "points"), TURNED.items())
+def test_the_key_that_is_named_mends_it(tmp_path, by, points):
+    """Read with it, the heading is less by as much as the axis is ahead."""
+    plain = load_case(copied(tmp_path / "plain", 2, ""))
+    mended = load_case(copied(tmp_path / "mended", 2, f'x_axis = "{points}"'))
+    for run, other in zip(plain.runs, mended.runs, strict=True):
+        there = np.asarray(run.pose)
+        np.testing.assert_allclose(np.asarray(other.pose), there - [0.0, 0.0, by], rtol=0, atol=1e-12)
+    # These files were right before, so that now the finding names the way back.
+    (found,) = said(mended, mended.runs)
+    back = {"left": "right", "right": "left", "back": "back"}[points]
+    assert found[1].endswith(f"pointed {back}")
