@@ -17,7 +17,7 @@ from .joints import SMOOTH, beside_joints
 
 POINTS = ("forward", "right", "back", "left")
 """Where the object's x axis points if the board goes along its x, y, -x or -y axis."""
-POOLED, ALONE = 0.7, 0.4
+POOLED, ALONE = 0.8, 0.4
 """Another axis is believed where the yaw rate left beside it is less than this share of that beside the x axis: in all
 runs together, and in one run against all others."""
 HARDLY = 0.5
