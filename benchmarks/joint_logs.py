@@ -3,9 +3,9 @@
     python benchmarks/joint_logs.py [BOARDS]
 
 Boards made up, three train runs of 6 s each; the joints' true motion is logged at 100 Hz with noise, on a clock that
-is up to 0.3 s ahead of the cameras' or behind it, and the fit estimates tyre and clocks. A line for each board goes into
-`joint_logs.jsonl`, where a run that was stopped goes on; then the table: how many estimates of how many lie within
-1.96 and within 3 of their standard errors.
+is up to 0.3 s ahead of the cameras' or behind it, and the fit estimates tyre and clocks. A line for each board goes
+into `joint_logs.jsonl`, where a run that was stopped goes on; then the table: how many estimates of how many lie
+within 1.96 and within 3 of their standard errors.
 """
 
 import json

@@ -1,5 +1,6 @@
 """Axes and signs taken the other way are noticed by how the board turns, and mended by what the finding says."""
 
+import shutil
 from pathlib import Path
 
 import equinox as eqx
@@ -8,8 +9,8 @@ import numpy as np
 import pytest
 from conftest import beside
 
-from snakejax import load_case
-from snakejax.quality import inspected
+from snakejax import check, load_case
+from snakejax.quality import CONVENTIONS, inspected
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 BUNDLED = sorted(path.parent for path in DATA.glob("*/case.toml"))
@@ -42,7 +43,7 @@ def every_case():
 
 def test_nothing_is_found_in_recordings_as_they_are():
     for case in every_case():
-        assert not {"turned_axis", "mirrored", "rotor_sign"} & {kind for kind, *_ in said(case, case.runs)}
+        assert not set(CONVENTIONS) & {kind for kind, *_ in said(case, case.runs)}
 
 
 @pytest.mark.parametrize("by", TURNED)
@@ -52,6 +53,13 @@ def test_an_axis_that_does_not_point_forward_is_found(by):
         assert [(kind, what.endswith(f"pointed {TURNED[by]}"), run) for kind, what, run in found] == [
             ("turned_axis", True, None)
         ]
+
+
+def test_no_clock_is_blamed_for_an_axis():
+    case = load_case(DATA / "level-board")
+    runs = tuple(turned(run, QUARTER) for run in case.runs)
+    (doubt,) = check(eqx.tree_at(lambda c: c.runs, case, runs))
+    assert doubt.run is None and doubt.remedy.startswith('if so, write x_axis = "left"')
 
 
 def test_signs_taken_the_other_way_are_found():
@@ -77,14 +85,13 @@ def test_one_run_turned_against_the_others_is_named(by):
 
 
 def copied(folder, runs, key):
-    """`level-board` with one train run and `key` in it, the heading of its file turned by half a turn."""
+    """`level-board` with its first `runs`, and `key` in each."""
     case = (DATA / "level-board" / "case.toml").read_text(encoding="utf-8")
     head, *parts = case.split("[[runs]]")
     folder.mkdir()
     (folder / "case.toml").write_text(head + "".join(f"[[runs]]{part.rstrip()}\n{key}\n\n" for part in parts[:runs]))
     for path in (DATA / "level-board").glob("*.csv"):
-        text = path.read_text(encoding="utf-8")
-        (folder / path.name).write_text(text, encoding="utf-8")
+        shutil.copy(path, folder)
     return folder
 
 

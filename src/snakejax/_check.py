@@ -11,7 +11,7 @@ import numpy as np
 from ._errors import InputError
 from ._gait import AbstractSignal, Tracked
 from ._recording import Case, Run
-from .quality import Finding, Inspection, clocks, estimate_noise, inspected
+from .quality import CONVENTIONS, Finding, Inspection, clocks, estimate_noise, inspected
 
 Severity = Literal["note", "doubtful"]
 
@@ -54,9 +54,11 @@ def check(case: Case, folder: Path | str | None = None, inspection: Inspection |
     seen = inspection or inspected(case)
     found = [*_whole(case), *_noise(seen.case), *(_unused(case, Path(folder)) if folder is not None else ())]
     found += [_doubt(f) for f in seen.findings if f.run is None]
+    turned = {f.run for f in seen.findings if f.kind in CONVENTIONS}
     for run, mended in zip(case.runs, seen.case.runs, strict=True):
         of_run = [f for f in seen.findings if f.run == run.name]
-        if not any(f.severity == "refused" for f in of_run) and run.log is None:
+        # Clocks show only where axes and signs are right.
+        if not (any(f.severity == "refused" for f in of_run) or run.log is not None or turned & {None, run.name}):
             of_run += clocks(mended)
         found += [_doubt(f._replace(run=run.name)) for f in of_run]
         found += _steering(run)

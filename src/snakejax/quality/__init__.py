@@ -5,6 +5,7 @@ the file that fits, name it in `inspect` of `remedy.py`, and give it a row in do
 sizes in tests/systems/defects.py.
 """
 
+from .conventions import CONVENTIONS as CONVENTIONS
 from .finding import Finding as Finding
 from .finding import Track as Track
 from .lag import clocks as clocks

@@ -15,6 +15,7 @@ from .._recording import Run
 from .finding import Finding, Track
 from .joints import SMOOTH, beside_joints
 
+CONVENTIONS = ("turned_axis", "mirrored", "rotor_sign")
 POINTS = ("forward", "right", "back", "left")
 """Where the object's x axis points if the board goes along its x, y, -x or -y axis."""
 POOLED, ALONE = 0.8, 0.4
@@ -105,8 +106,8 @@ def _signs(told: Sequence[_Told], axis: int) -> list[Finding]:
 def _turned(axis: int) -> Finding:
     points = POINTS[axis]
     what = f"the board goes as if the x axis of its object pointed {points}"
-    remedy = f'if so, write x_axis = "{points}"' + (
-        ", or give phi the opposite sign" if points == "back" else " for its runs"
-    )
+    remedy = f'if so, write x_axis = "{points}" for its runs (where one stands already, turn it as far again)'
+    if points == "back":
+        remedy += ", or give phi the opposite sign"
     size = float(np.pi if points == "back" else np.pi / 2)
     return Finding("turned_axis", what, remedy, 0.0, 0.0, size=size, unit="rad")
