@@ -22,6 +22,7 @@ from snakejax._model import Model, no_traction
 from snakejax._simulate import Accuracy, Trajectory, motions, simulate
 from snakejax._tyre import Bakker, Pacejka, Rayleigh
 from snakejax._units import Scalar, param
+from snakejax.effects import ClockOffset, YawBias
 
 TIGHT = Accuracy(rtol=1e-11, atol=1e-12, max_steps=400_000)
 STEPPED = Accuracy(step=0.005)
@@ -593,3 +594,41 @@ def test_gradients_of_a_run(skid, tyre):
     for drive, start in ((0.0, (0.0,) * 6), (1.0, (0.0, 0.0, 0.0, -0.4, 0.0, 0.2))):
         elsewhere, _ = differentiable(tyre, skid, drive, start)
         assert jnp.isfinite(jacobian_at(elsewhere)).all()
+
+
+@pytest.mark.parametrize("skid", ["coupled", "free"])
+def test_derivatives_do_not_grow_while_the_board_rests(skid):
+    """In rest no step has an error, yet what could move the board must be told soundly: against simulations that are
+    moved, by a yaw moment and by a speed at the start.
+    """
+    model = Model(Board(**TABLE_II, creep_speed=0.01), Pacejka(B=8.0, C=1.4, D=6.0, E=0.1), skid)
+    model = model.add(yaw_bias=YawBias())
+    gait, times = Gait(*[Sines.of([[0.0, 4.0, 0.0]])] * 2), jnp.linspace(0.0, 0.8, 17)
+
+    def pose(moment, speed, accuracy):
+        moved = eqx.tree_at(lambda m: m.effects["yaw_bias"].t, model, moment)
+        start = jnp.zeros(6).at[3].set(speed)
+        return simulate(moved, gait, times, start, accuracy=accuracy).pose
+
+    rough = Accuracy(rtol=3e-6, atol=3e-8, max_steps=4000, derivative="forward")
+    fine = Accuracy(rtol=1e-9, atol=1e-13, max_steps=100_000)
+    zero, small = jnp.zeros(()), jnp.asarray(1e-5)
+    slopes = jax.jit(jax.jacfwd(lambda m, s: pose(m, s, rough), argnums=(0, 1)))(zero, zero)
+    run = jax.jit(lambda m, s: pose(m, s, fine))
+    sides = (run(small, zero), run(-small, zero)), (run(zero, small), run(zero, -small))
+    for slope, (up, down) in zip(slopes, sides, strict=True):
+        expected = np.asarray(up - down) / (2 * float(small))
+        np.testing.assert_allclose(slope, expected, rtol=0, atol=2e-3 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("delay", [0.3, -0.3])
+@pytest.mark.parametrize("skid", ["coupled", "free"])
+def test_a_board_that_rests_at_time_0_rested_before_whatever_the_clocks(skid, delay):
+    """Told by six numbers or by its pose."""
+    model = Model(Board(**TABLE_II, creep_speed=0.01), Pacejka(B=8.0, C=1.4, D=6.0, E=0.1), skid)
+    model = model.add(clock=ClockOffset(T=delay))
+    gait = Gait(*(Tracked(Sines.of([[a, 4.0, 0.3]]), kp=100.0, kd=10.0) for a in (0.9, 1.6)))
+    times, start = jnp.linspace(0.0, 1.5, 16), jnp.asarray([0.1, -0.2, 0.7])
+    expected = simulate(model, gait, times, start).pose
+    found = simulate(model, gait, times, jnp.append(start, jnp.zeros(3)), resting=True).pose
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)

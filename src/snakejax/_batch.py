@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ._gait import AbstractSignal, Gait, Logged, Scaled, Sines, Tracked
 from ._recording import Noise, Run
@@ -17,7 +17,7 @@ class Batch(eqx.Module):
 
     `weight` (R, n, 3) is one over the noise's standard deviation, zero where a sample is missing. `start` (R, S) is a
     first guess of where each run starts, `free_start` (R, S) is 1 where it is to be estimated; S is 3 (pose) where all
-    runs start at rest, else 6 (pose and velocities).
+    runs start at rest, else 6 (pose and velocities), which are those of a board at rest at time 0 where `resting` (R,).
     """
 
     times: Float[Array, "R n"]
@@ -27,6 +27,7 @@ class Batch(eqx.Module):
     payload: Float[Array, "R 2"]
     start: Float[Array, "R S"]
     free_start: Float[Array, "R S"]
+    resting: Bool[Array, " R"]
 
 
 def batch(runs: Sequence[Run], noise: Noise) -> Batch:
@@ -65,6 +66,7 @@ def batch(runs: Sequence[Run], noise: Noise) -> Batch:
         jnp.stack([jnp.asarray(run.payload) for run in runs]),
         jnp.asarray(start),
         jnp.asarray(free, jnp.float64),
+        jnp.asarray(~moving),
     )
 
 

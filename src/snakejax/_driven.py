@@ -70,7 +70,8 @@ def driven(model: Model, at: Unknowns, batch: Batch, grid, knots):
             here = here.add(
                 free_force=FreeForce(first, h, force + f.reshape(K, 3)), free_grip=FreeGrip(first, h, g.reshape(K, 2))
             )
-            path = simulate(here, piece.gait, piece.times, start + free * s, accuracy=ACCURACY, throw=False)
+            how = {"accuracy": ACCURACY, "throw": False, "resting": piece.resting}
+            path = simulate(here, piece.gait, piece.times, start + free * s, **how)
             left = jnp.where(piece.weight > 0, (piece.pose - path.pose) * piece.weight, 0.0)
             return left, _track(here, piece.gait, path)
 

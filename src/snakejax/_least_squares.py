@@ -110,7 +110,8 @@ def _run_residual(model, names, values, start, batch: Batch, accuracy: Accuracy)
     """Residual (n, 3) of one run; `batch` without its leading axis."""
     set_ = with_parameters(model, {name: values[k] for k, name in enumerate(names)})
     loaded = eqx.tree_at(lambda m: m.board, set_, replace_fn=lambda b: b.loaded(*batch.payload))
-    pose = simulate(loaded, batch.gait, batch.times, start, accuracy=accuracy, throw=False).pose
+    how = {"accuracy": accuracy, "throw": False, "resting": batch.resting}
+    pose = simulate(loaded, batch.gait, batch.times, start, **how).pose
     return jnp.where(batch.weight > 0, (batch.pose - pose) * batch.weight, 0.0)
 
 

@@ -46,12 +46,12 @@ def side_by_side(runs: Sequence[Run], starts: Float[np.ndarray, "R S"]) -> Batch
 
 @eqx.filter_jit
 def _replay(model: Model, runs: Batch, starts: Float[np.ndarray, "R S"]):
-    def one(times, gait, payload, start):
+    def one(times, gait, payload, start, resting):
         loaded = eqx.tree_at(lambda m: m.board, model, replace_fn=lambda b: b.loaded(*payload))
-        done = simulate(loaded, gait, times, start, accuracy=ACCURACY, throw=False)
+        done = simulate(loaded, gait, times, start, accuracy=ACCURACY, throw=False, resting=resting)
         return done.pose, done.finished
 
-    return jax.lax.map(lambda mine: one(*mine), (runs.times, runs.gait, runs.payload, starts))
+    return jax.lax.map(lambda mine: one(*mine), (runs.times, runs.gait, runs.payload, starts, runs.resting))
 
 
 def fitted_starts(found: Fit) -> Float[np.ndarray, "R S"]:

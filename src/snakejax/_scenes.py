@@ -129,7 +129,7 @@ def _dressed(run: Run, played: Any, residual: np.ndarray, sd: np.ndarray, board:
 @eqx.filter_jit
 def _played(model, batch, start, accuracy):
     model = eqx.tree_at(lambda m: m.board, model, replace_fn=lambda board: board.loaded(*batch.payload))
-    done = simulate(model, batch.gait, batch.times, start, accuracy=accuracy)
+    done = simulate(model, batch.gait, batch.times, start, accuracy=accuracy, resting=batch.resting)
     motion, force = motions(model, batch.gait, done)
     return motion, force, done.pose, done.state
 

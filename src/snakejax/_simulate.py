@@ -14,6 +14,8 @@ from ._gait import Gait
 from ._model import Model
 from ._units import Scalar, require_x64
 
+NUDGE = 1e-9
+"""Speeds [m/s, rad/s] that tell how stiff rest is."""
 STEPS_A_SAMPLE = 8
 """So many steps may a long recording take for each of its samples, where that is more than `Accuracy.max_steps`."""
 
@@ -54,6 +56,7 @@ def simulate(
     *,
     accuracy: Accuracy = Accuracy(),  # noqa: B008
     throw: bool = True,
+    resting: Bool[Array, ""] | bool = False,
 ) -> Trajectory:
     """Integrate `model` under `gait` and report its pose at `times`.
 
@@ -61,8 +64,8 @@ def simulate(
 
     **Arguments:** `times` [s] (n,), increasing. `start`: (x [m], y [m], heading [rad]) of a board at rest at time 0; or
     six numbers, (x, y, heading, u, w, r) under `free` and (x, y, heading, u, beta, s) under `coupled`, of a board under
-    way at `times[0]`, and then, if wanted, the memories of `Model.start_moving`. `throw`: raise where the solver fails,
-    else say so in the result.
+    way at `times[0]`, and then, if wanted, the memories of `Model.start_moving`; where `resting`, of a board at rest at
+    time 0 after all, whose speeds are zero. `throw`: raise where the solver fails, else say so in the result.
 
     **Raises:** `RuntimeError` without double precision; the solver's error where it cannot reach the accuracy.
     """
@@ -75,7 +78,9 @@ def simulate(
         t0, delayed = jnp.zeros(()), jnp.maximum(delayed, 0.0)
         state = model.start((start[0], start[1], start[2]))
     else:
-        t0 = delayed[0]
+        # A board that rests at time 0 rested before, whatever the clocks.
+        t0 = jnp.where(resting, 0.0, delayed[0])
+        delayed = jnp.where(resting, jnp.maximum(delayed, 0.0), delayed)
         state = model.start_moving(tuple(start[k] for k in range(start.shape[0])), t0, gait)
     states, finished = _integrate(model, gait, state, t0, delayed, accuracy, throw)
     pose = jnp.stack(model.observe(states[0]), axis=-1)
@@ -90,7 +95,9 @@ def _integrate(
         # Near rest the tyre is stiff and the step stands at the limit of stability. Where it overshoots the limit, what
         # the error control does not see, the derivatives, would grow; these gains hold it there quietly.
         gains = {"pcoeff": 0.2, "icoeff": 0.4, "safety": 0.8}
-        controller, dt0 = diffrax.PIDController(rtol=accuracy.rtol, atol=accuracy.atol, **gains), 1e-3
+        most = _stable_at_rest(model, gait, state, t0)
+        controller = _Patient(rtol=accuracy.rtol, atol=accuracy.atol, at_rest=most, **gains)
+        dt0 = jnp.minimum(1e-3, most)
     else:
         controller, dt0 = diffrax.ConstantStepSize(), accuracy.step
     # An empty tuple inside diffrax's state breaks its buffers, so it gets the leaves alone.
@@ -114,6 +121,32 @@ def _integrate(
         throw=throw,
     )
     return jax.tree.unflatten(structure, solution.ys), solution.result == diffrax.RESULTS.successful
+
+
+class _Patient(diffrax.PIDController):
+    """Error control that does not take rest for a board of which nothing is to be known.
+
+    While nothing moves no step has an error, and steps would grow far beyond the limit of stability; the state would
+    rest all the same, but its derivatives by whatever could move it would grow without bound. Where a step has changed
+    nothing, the next one is no longer than `at_rest` [s].
+    """
+
+    at_rest: Scalar = eqx.field(default_factory=lambda: jnp.asarray(jnp.inf))
+
+    def adapt_step_size(self, t0, t1, y0, y1_candidate, *more):
+        """As `diffrax.PIDController` has it, but for a board at rest."""
+        keep, begin, end, *rest = super().adapt_step_size(t0, t1, y0, y1_candidate, *more)
+        same = [jnp.all(a == b) for a, b in zip(jax.tree.leaves(y0), jax.tree.leaves(y1_candidate), strict=True)]
+        return keep, begin, jnp.where(jnp.all(jnp.stack(same)), jnp.minimum(end, begin + self.at_rest), end), *rest
+
+
+def _stable_at_rest(model: Model, gait: Gait, state: Any, t: Scalar) -> Scalar:
+    """The longest step [s] with which small motions about rest die out as they should: 2 over their fastest rate."""
+    body, memories = jax.tree.map(jnp.zeros_like, state)
+    nudged = (*body[:3], *(part + NUDGE for part in body[3:]))
+    rates = [jax.tree.leaves(model.rates(t, (at, memories), gait)[0])[3:] for at in (body, nudged)]
+    fastest = jnp.max(jnp.abs(jnp.stack(rates[1]) - jnp.stack(rates[0]))) / NUDGE
+    return 2.0 / jnp.maximum(jax.lax.stop_gradient(fastest), 1.0)
 
 
 def motions(model: Model, gait: Gait, trajectory: Trajectory) -> tuple[Motion, tuple[Float[Array, " n"], ...]]:

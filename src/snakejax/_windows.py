@@ -149,22 +149,23 @@ class Windows(eqx.Module):
 
         At most `width` of the movable `names` can settle at a time.
         """
-        pieces, starts, free = [], [], []
+        pieces, starts, free, resting = [], [], [], []
         memories = model.memories
         for run in runs:
             guess = states(model, run)
-            for k, window in enumerate(cut(run, length)):
+            for window in cut(run, length):
                 pieces.append(window)
                 at = int(np.searchsorted(np.asarray(run.times), float(window.times[0]) - 1e-9))
-                resting = k == 0 and not run.moving
-                began = np.where([1, 1, 1, 0, 0, 0], guess[at], 0.0) if resting else guess[at]
+                rests = at == 0 and not run.moving
+                began = np.where([1, 1, 1, 0, 0, 0], guess[at], 0.0) if rests else guess[at]
                 starts.append([*began, *[0.0] * memories])
-                free.append([1] * 3 + [0 if resting else 1] * (3 + memories))
+                free.append([1] * 3 + [0 if rests else 1] * (3 + memories))
+                resting.append(rests)
         study = Study.of(model, pieces, noise, names, width, ACCURACY)
         study = eqx.tree_at(
-            lambda s: (s.batch.start, s.batch.free_start),
+            lambda s: (s.batch.start, s.batch.free_start, s.batch.resting),
             study,
-            (jnp.asarray(np.array(starts)), jnp.asarray(np.array(free, float))),
+            (jnp.asarray(np.array(starts)), jnp.asarray(np.array(free, float)), jnp.asarray(resting)),
         )
         return Windows(study)
 

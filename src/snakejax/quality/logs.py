@@ -12,6 +12,9 @@ FINE = 1e-6
 """Noise [rad] that no derivative suffers from."""
 WEAK_AND_STRONG = (-12.0, 40.0)
 """Logarithms of strengths between which every smoothing spline lies."""
+GENTLY = 0.1
+"""The spline that predicts best bends what the joint did about as far as noise does, and nobody knows which way; a
+weaker one leaves a little more noise, whose size is known, and so can be in the standard errors of a fit."""
 WHITE = -0.5
 """White noise bends a curve to one side and back: neighbouring bends correlate by -3/4, and those of motion by +1."""
 
@@ -25,8 +28,9 @@ class Smoothed(NamedTuple):
 
 
 def smoothed(times: Float[np.ndarray, " n"], angles: Float[np.ndarray, " n"]) -> Smoothed:
-    """`angles` [rad] as they are, or where they are noisy the smoothing spline through them that predicts each sample
-    best from all others (generalised cross validation, `scipy.interpolate.make_smoothing_spline`).
+    """`angles` [rad] as they are, or where they are noisy a smoothing spline through them: `GENTLY` times as strong as
+    the one that predicts each sample best from all others (generalised cross validation,
+    `scipy.interpolate.make_smoothing_spline`).
     """
     from scipy.optimize import root_scalar
 
@@ -37,14 +41,14 @@ def smoothed(times: Float[np.ndarray, " n"], angles: Float[np.ndarray, " n"]) ->
     before, after = bends[:-1, 0], bends[1:, 0]
     if not (before * after).sum() < WHITE * (bends[:, 0] ** 2).sum():
         return Smoothed(angles, 0.0, 0.0)
-    best = splined(times, angles)
     # scipy keeps its strength to itself: it is the one that leaves as much.
-    left = np.std(angles - best)
+    left = np.std(angles - splined(times, angles))
 
     def more(log_strength: float) -> float:
         return float(np.std(angles - splined(times, angles, np.exp(log_strength))) - left)
 
-    return Smoothed(best, float(noise), float(np.exp(root_scalar(more, bracket=WEAK_AND_STRONG).root)))
+    strength = GENTLY * float(np.exp(root_scalar(more, bracket=WEAK_AND_STRONG).root))
+    return Smoothed(splined(times, angles, strength), float(noise), strength)
 
 
 def splined(
