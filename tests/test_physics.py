@@ -621,6 +621,14 @@ def test_derivatives_do_not_grow_while_the_board_rests(skid):
         np.testing.assert_allclose(slope, expected, rtol=0, atol=2e-3 * np.abs(expected).max())
 
 
+def test_a_stiff_board_may_rest_for_long():
+    """Where what is stable at rest would take more steps than there are, the steps are longer."""
+    model = Model(Board(**TABLE_II, creep_speed=1e-6), Pacejka(B=8.0, C=1.4, D=6.0, E=0.1), "free")
+    gait = Gait(*[Sines.of([[0.0, 4.0, 0.0]])] * 2)
+    done = simulate(model, gait, jnp.linspace(0.0, 30.0, 31))
+    assert done.finished and np.abs(done.pose).max() == 0.0
+
+
 @pytest.mark.parametrize("delay", [0.3, -0.3])
 @pytest.mark.parametrize("skid", ["coupled", "free"])
 def test_a_board_that_rests_at_time_0_rested_before_whatever_the_clocks(skid, delay):

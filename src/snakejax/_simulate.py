@@ -91,11 +91,13 @@ def _integrate(
     model: Model, gait: Gait, state: Any, t0: Scalar, times: Float[Array, " n"], accuracy: Accuracy, throw: bool
 ) -> tuple[Any, Bool[Array, ""]]:
     forward = accuracy.derivative == "forward"
+    most_steps = max(accuracy.max_steps, STEPS_A_SAMPLE * times.shape[0])
     if accuracy.step is None:
         # Near rest the tyre is stiff and the step stands at the limit of stability. Where it overshoots the limit, what
         # the error control does not see, the derivatives, would grow; these gains hold it there quietly.
         gains = {"pcoeff": 0.2, "icoeff": 0.4, "safety": 0.8}
-        most = _stable_at_rest(model, gait, state, t0)
+        # Half of the steps are left for the time in which the board moves.
+        most = jnp.maximum(_stable_at_rest(model, gait, state, t0), 2 * (times[-1] - t0) / most_steps)
         controller = _Patient(rtol=accuracy.rtol, atol=accuracy.atol, at_rest=most, **gains)
         dt0 = jnp.minimum(1e-3, most)
     else:
@@ -117,7 +119,7 @@ def _integrate(
         saveat=diffrax.SaveAt(ts=times),
         stepsize_controller=controller,
         adjoint=diffrax.ForwardMode() if forward else diffrax.RecursiveCheckpointAdjoint(),
-        max_steps=max(accuracy.max_steps, STEPS_A_SAMPLE * times.shape[0]),
+        max_steps=most_steps,
         throw=throw,
     )
     return jax.tree.unflatten(structure, solution.ys), solution.result == diffrax.RESULTS.successful
