@@ -169,7 +169,7 @@ def test_noise_that_is_drawn_anew_is_as_what_smoothing_leaves():
     assert not is_noisy(clean) and redrawn(clean, rng).phi is clean.phi
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_fit_tells_the_clocks_of_noisy_logs(tmp_path):
     """Offsets, the one drift and the tyre within 3 standard errors, which noise in the logs makes larger."""
     runs = ("train-rotate-1", "train-arc-1", "heldout-sweep-1")

@@ -43,6 +43,7 @@ object = "board:board"              # its name in the file, in Vicon's subject:s
 # columns = {time = "t", x = "pos x", y = "pos y", heading = "yaw"}
 # units = {length = "mm", angle = "deg", time = "ms"}
 # up = "z"                          # the axis that points up, or its components: [0.01, 0.0, 1.0]
+# x_axis = "forward"                # where on the board the object's x axis points: forward, left, back or right
 # Where markers sit on the board, in m from its middle: forward, left, up. For files with markers only.
 # markers = {nose = [0.3, 0.0, 0.1], tail = [-0.3, 0.0, 0.1], mast = [0.0, 0.1, 0.3]}
 # Commanded angles: [[amplitude rad, angular frequency rad/s, phase rad], ...], each a sin(w t + p), summed
