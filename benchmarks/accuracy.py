@@ -429,8 +429,9 @@ def _pairs_table(lines: list[dict[str, Any]]) -> None:
         switched = "lateral_skid, " if line["declared"] != line["skid"] else ""
         parts = ", ".join(f"{name} {value:.3g}" for name, value in line["values"].items())
         away = []
-        for name, value in (line["values"] | line["tyre"]).items():
-            mine = [e for n, e in line["estimate"].items() if name in n.split(".")]
+        truth = line["values"] | {f"tyre.{name}": value for name, value in line["tyre"].items()}
+        for name, value in truth.items():
+            mine = [e for n, e in line["estimate"].items() if n == name or n.startswith(f"effects.{name}.")]
             if mine and mine[0][1]:
                 away.append(f"{(mine[0][0] - value) / mine[0][1]:+.1f}")
         wrong = "" if line["right"] else f"  {_called(line)}"
