@@ -66,7 +66,7 @@ def combined(study: Study, optimum: Optimum, estimates: Mapping[str, Estimate]) 
         values, vectors = np.linalg.eigh(optimum.covariance[np.ix_(rows, rows)])
         domains = domains_of(study.model, open_)
         for variance, vector in zip(values, vectors.T, strict=True):
-            if np.sqrt(variance) * factor < 0.1:
+            if np.sqrt(max(variance, 0.0)) * factor < 0.1:
                 vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
                 terms = [
                     f"{weight:+.2f} {'ln ' if d.multiplicative else ''}{name.rsplit('.', 1)[-1]}"
