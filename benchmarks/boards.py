@@ -1,5 +1,6 @@
 """Boards made up: random tyres and gaits, an effect if wanted, and what motion capture would have seen of them."""
 
+import abc
 from typing import NamedTuple
 
 import equinox as eqx
@@ -141,22 +142,31 @@ class Compass(Force):
         return zero, zero, -self.n * jnp.sin(motion.theta - 0.8)
 
 
-class Warming(Grip):
+class Fading(Grip):
+    """A grip that is less by some part of the share g."""
+
+    g: Scalar = param("-", default=0.0)
+
+    @abc.abstractmethod
+    def part(self, motion):
+        """How much of g is missing."""
+
+    def lateral(self, force, wheel, motion):
+        return force * (1 - self.g * self.part(motion))
+
+
+class Warming(Fading):
     """A grip that falls with time, by up to the share g, within 6 s."""
 
-    g: Scalar = param("-", default=0.0)
-
-    def lateral(self, force, wheel, motion):
-        return force * (1 - self.g * jnp.tanh(motion.time / 6))
+    def part(self, motion):
+        return jnp.tanh(motion.time / 6)
 
 
-class RotorShake(Grip):
+class RotorShake(Fading):
     """A grip that falls with the rate of the rotor, by up to the share g."""
 
-    g: Scalar = param("-", default=0.0)
-
-    def lateral(self, force, wheel, motion):
-        return force * (1 - self.g * jnp.tanh((motion.rotor.rate / 4) ** 2))
+    def part(self, motion):
+        return jnp.tanh((motion.rotor.rate / 4) ** 2)
 
 
 class SteeringDrag(Force):
@@ -169,40 +179,32 @@ class SteeringDrag(Force):
         return X, jnp.zeros_like(X), jnp.zeros_like(X)
 
 
-class Patch(Grip):
+class Patch(Fading):
     """A grip that is less by the share g where y is above 0.1 m."""
 
-    g: Scalar = param("-", default=0.0)
-
-    def lateral(self, force, wheel, motion):
-        return force * (1 - self.g * 0.5 * (1 + jnp.tanh((motion.y - 0.1) / 0.15)))
+    def part(self, motion):
+        return 0.5 * (1 + jnp.tanh((motion.y - 0.1) / 0.15))
 
 
-class Pile(Grip):
+class Pile(Fading):
     """A grip that depends on the heading as that of a carpet whose pile lies along 0.3 rad: by up to the share g."""
 
-    g: Scalar = param("-", default=0.0)
-
-    def lateral(self, force, wheel, motion):
-        return force * (1 - self.g * jnp.cos(motion.theta - 0.3))
+    def part(self, motion):
+        return jnp.cos(motion.theta - 0.3)
 
 
-class FastGrip(Grip):
+class FastGrip(Fading):
     """A grip that falls with the speed of the board, by up to the share g."""
 
-    g: Scalar = param("-", default=0.0)
-
-    def lateral(self, force, wheel, motion):
-        return force * (1 - self.g * jnp.tanh((motion.u**2 + motion.w**2) / 0.3**2))
+    def part(self, motion):
+        return jnp.tanh((motion.u**2 + motion.w**2) / 0.3**2)
 
 
-class SteeringGrip(Grip):
+class SteeringGrip(Fading):
     """A grip that falls with the steering angle, by up to the share g."""
 
-    g: Scalar = param("-", default=0.0)
-
-    def lateral(self, force, wheel, motion):
-        return force * (1 - self.g * jnp.tanh((motion.steering.angle / 0.5) ** 2))
+    def part(self, motion):
+        return jnp.tanh((motion.steering.angle / 0.5) ** 2)
 
 
 class Cable(Force):

@@ -19,8 +19,6 @@ prepare_jax()
 
 import boards  # noqa: E402
 import equinox as eqx  # noqa: E402
-import jax  # noqa: E402
-import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
 from snakejax import Case, fit_logged, starting_model  # noqa: E402
@@ -28,7 +26,7 @@ from snakejax._errors import FitError, InputError  # noqa: E402
 from snakejax._gait import AbstractSignal, Gait, Logged  # noqa: E402
 from snakejax._recording import LogClock, Run  # noqa: E402
 from snakejax._units import parameters  # noqa: E402
-from snakejax.quality import smoothed, with_log_clock  # noqa: E402
+from snakejax.quality import angles, smoothed, with_log_clock  # noqa: E402
 
 BOARDS = 12
 LOGS = ((1000.0, 0.0), (1000.0, 5e-4), (100.0, 0.0), (100.0, 5e-4))
@@ -39,8 +37,8 @@ FARTHEST = 0.3
 def logged(signal: AbstractSignal, clock: LogClock, rate: float, noise: float, rng: np.random.Generator) -> Logged:
     """A joint as its log tells it once `clock` is corrected; a second before the start and after the end are in it."""
     times = np.arange(-1.0, boards.SECONDS + 1.0, 1 / rate)
-    angles = np.asarray(jax.vmap(lambda t: signal.at(t).angle)(jnp.asarray(np.maximum(times, 0.0))))
-    return Logged.of(times + clock.offset, *smoothed(times, angles + noise * rng.normal(size=times.shape)))
+    seen = angles(signal, times) + noise * rng.normal(size=times.shape)
+    return Logged.of(times + clock.offset, *smoothed(times, seen))
 
 
 def with_log(run: Run, clock: LogClock, rate: float, noise: float, rng: np.random.Generator) -> Run:
@@ -99,7 +97,7 @@ def main(count: int) -> None:
             lines.append(line)
             with path.open("a") as file:
                 file.write(json.dumps(line) + "\n")
-    table([{**line, "log": tuple(line["log"])} for line in lines])
+    table(lines)
 
 
 if __name__ == "__main__":

@@ -36,19 +36,20 @@ def said(case, runs):
     return [(f.kind, f.what, f.run) for f in inspected(eqx.tree_at(lambda c: c.runs, case, tuple(runs))).findings]
 
 
+@pytest.fixture(scope="module")
 def every_case():
     folder = beside("recordings")
     return [load_case(path) for path in [*BUNDLED, *sorted(folder.glob("board-?"))]]
 
 
-def test_nothing_is_found_in_recordings_as_they_are():
-    for case in every_case():
+def test_nothing_is_found_in_recordings_as_they_are(every_case):
+    for case in every_case:
         assert not set(CONVENTIONS) & {kind for kind, *_ in said(case, case.runs)}
 
 
 @pytest.mark.parametrize("by", TURNED)
-def test_an_axis_that_does_not_point_forward_is_found(by):
-    for case in every_case():
+def test_an_axis_that_does_not_point_forward_is_found(every_case, by):
+    for case in every_case:
         found = said(case, [turned(run, by) for run in case.runs])
         assert [(kind, what.endswith(f"pointed {TURNED[by]}"), run) for kind, what, run in found] == [
             ("turned_axis", True, None)
@@ -62,8 +63,8 @@ def test_no_clock_is_blamed_for_an_axis():
     assert doubt.run is None and doubt.remedy.startswith('if so, write x_axis = "left"')
 
 
-def test_signs_taken_the_other_way_are_found():
-    for case in every_case():
+def test_signs_taken_the_other_way_are_found(every_case):
+    for case in every_case:
         assert [kind for kind, *_ in said(case, [negated(run, "psi") for run in case.runs])] == ["rotor_sign"]
         assert [kind for kind, *_ in said(case, [negated(run, "phi") for run in case.runs])] == ["turned_axis"]
         assert [kind for kind, *_ in said(case, [mirrored(run) for run in case.runs])] == ["mirrored"]

@@ -17,7 +17,7 @@ class Batch(eqx.Module):
 
     `weight` (R, n, 3) is one over the noise's standard deviation, zero where a sample is missing. `start` (R, S) is a
     first guess of where each run starts, `free_start` (R, S) is 1 where it is to be estimated; S is 3 (pose) where all
-    runs start at rest, else 6 (pose and velocities), which are those of a board at rest at time 0 where `resting` (R,).
+    runs start at rest, else 6 (pose and velocities).
     """
 
     times: Float[Array, "R n"]
@@ -27,7 +27,11 @@ class Batch(eqx.Module):
     payload: Float[Array, "R 2"]
     start: Float[Array, "R S"]
     free_start: Float[Array, "R S"]
-    resting: Bool[Array, " R"]
+
+    @property
+    def resting(self) -> Bool[Array, " R"]:
+        """Which runs are at rest at time 0: their velocities are none, and not to be estimated."""
+        return jnp.all(self.free_start[..., 3:6] == 0, axis=-1)
 
 
 def batch(runs: Sequence[Run], noise: Noise) -> Batch:
@@ -66,7 +70,6 @@ def batch(runs: Sequence[Run], noise: Noise) -> Batch:
         jnp.stack([jnp.asarray(run.payload) for run in runs]),
         jnp.asarray(start),
         jnp.asarray(free, jnp.float64),
-        jnp.asarray(~moving),
     )
 
 

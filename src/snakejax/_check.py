@@ -5,13 +5,12 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import equinox as eqx
-import jax
 import numpy as np
 
 from ._errors import InputError
 from ._gait import AbstractSignal, Tracked
 from ._recording import Case, Run
-from .quality import CONVENTIONS, Finding, Inspection, clocks, estimate_noise, inspected
+from .quality import CONVENTIONS, Finding, Inspection, angles, clocks, estimate_noise, inspected
 
 Severity = Literal["note", "doubtful"]
 
@@ -139,7 +138,7 @@ def _steering(run: Run) -> Iterator[Doubt]:
         command = signal.command if isinstance(signal, Tracked) else signal
         if command is None:
             continue
-        steepest = float(np.abs(jax.vmap(lambda t, c=command: c.at(t).angle)(run.times)).max())
+        steepest = float(np.abs(angles(command, np.asarray(run.times))).max())
         if steepest > STEEPEST:
             what = f"{name} is commanded to {np.rad2deg(steepest):.0f} degrees: beyond 80 wheels may hit"
             yield Doubt(run.name, what, "doubtful")

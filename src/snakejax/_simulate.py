@@ -126,7 +126,7 @@ def _integrate(
 
 
 class _Patient(diffrax.PIDController):
-    """Error control that does not take rest for a board of which nothing is to be known.
+    """Error control that bounds the steps of a board at rest as well.
 
     While nothing moves no step has an error, and steps would grow far beyond the limit of stability; the state would
     rest all the same, but its derivatives by whatever could move it would grow without bound. Where a step has changed

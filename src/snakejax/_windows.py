@@ -149,7 +149,7 @@ class Windows(eqx.Module):
 
         At most `width` of the movable `names` can settle at a time.
         """
-        pieces, starts, free, resting = [], [], [], []
+        pieces, starts, free = [], [], []
         memories = model.memories
         for run in runs:
             guess = states(model, run)
@@ -160,12 +160,11 @@ class Windows(eqx.Module):
                 began = np.where([1, 1, 1, 0, 0, 0], guess[at], 0.0) if rests else guess[at]
                 starts.append([*began, *[0.0] * memories])
                 free.append([1] * 3 + [0 if rests else 1] * (3 + memories))
-                resting.append(rests)
         study = Study.of(model, pieces, noise, names, width, ACCURACY)
         study = eqx.tree_at(
-            lambda s: (s.batch.start, s.batch.free_start, s.batch.resting),
+            lambda s: (s.batch.start, s.batch.free_start),
             study,
-            (jnp.asarray(np.array(starts)), jnp.asarray(np.array(free, float)), jnp.asarray(resting)),
+            (jnp.asarray(np.array(starts)), jnp.asarray(np.array(free, float))),
         )
         return Windows(study)
 

@@ -8,6 +8,7 @@ sizes in tests/systems/defects.py.
 from .conventions import CONVENTIONS as CONVENTIONS
 from .finding import Finding as Finding
 from .finding import Track as Track
+from .joints import angles as angles
 from .lag import clocks as clocks
 from .lag import lag as lag
 from .lag import with_log_clock as with_log_clock

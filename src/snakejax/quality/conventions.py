@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from .._recording import Run
 from .finding import Finding, Track
-from .joints import SMOOTH, beside_joints
+from .joints import SMOOTH, beside_joints, yaw_terms
 
 CONVENTIONS = ("turned_axis", "mirrored", "rotor_sign")
 POINTS = ("forward", "right", "back", "left")
@@ -60,21 +60,19 @@ def _told(run: Run) -> _Told | None:
     if not (np.ptp(steer) > 0 and np.ptp(against) > 0):
         return None
     independent = (seen.times[-1] - seen.times[0]) / SMOOTH
-    found = np.array([_beside(seen.r, against, steer, along) for along in (seen.u, seen.w, -seen.u, -seen.w)])
+    axes = (seen.u, seen.w, -seen.u, -seen.w)
+    found = np.array([_beside(seen.r, yaw_terms(against, steer, along)) for along in axes])
     left, factor, variance = found.T
     variance = variance * seen.r.size / independent
     return _Told(float(((seen.r - seen.r.mean()) ** 2).sum()), left, factor, 1 / variance)
 
 
-def _beside(r: np.ndarray, against: np.ndarray, steer: np.ndarray, along: np.ndarray) -> tuple[float, float, float]:
-    """What is left of the yaw rate where the board goes `along`, the rotor's factor, and its variance."""
-    into = along * np.tan(steer)
-    columns = [against, np.ones_like(r), steer, along]
-    for chosen in ([*columns, into], columns):
-        features = np.stack(chosen, axis=1)
+def _beside(r: Float[np.ndarray, " n"], features: Float[np.ndarray, "n 5"]) -> tuple[float, float, float]:
+    """What `features` leave of the yaw rate, the rotor's factor, and its variance; no board turns out of its turns."""
+    solved, *_ = np.linalg.lstsq(features, r, rcond=None)
+    if not solved[1] > 0:
+        features = np.delete(features, 1, axis=1)
         solved, *_ = np.linalg.lstsq(features, r, rcond=None)
-        if len(chosen) == len(columns) or solved[-1] > 0:
-            break
     rest = r - features @ solved
     square = float(rest @ rest)
     variance = square / r.size * np.linalg.pinv(features.T @ features)[0, 0]

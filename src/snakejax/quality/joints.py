@@ -42,6 +42,13 @@ class Joints(NamedTuple):
         return rate, np.clip(steer, -STEEPEST, STEEPEST)
 
 
+def yaw_terms(against: np.ndarray, steer: np.ndarray, along: np.ndarray) -> Float[np.ndarray, "n 5"]:
+    """What the yaw rate is nearly linear in, for a board that goes `along`: first the rotor's rate `against` which it
+    turns, second its way into the turn.
+    """
+    return np.stack([against, along * np.tan(steer), np.ones_like(along), steer, along], axis=1)
+
+
 def beside_joints(run: Run, most: float) -> Joints | None:
     """The motion of `run` with its joints up to `most` [s] before and after; None where too little was seen."""
     seen = Track.of(run).seen()
@@ -53,8 +60,8 @@ def beside_joints(run: Run, most: float) -> Joints | None:
     x, y, r = _rates(pose, frame).T
     c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
     fine = np.arange(times[0] - most - 0.5, times[-1] + most + 0.5, STEP)
-    angles = (_angles(signal, fine) for signal in (run.gait.phi, run.gait.psi))
-    return Joints(times, x * c + y * s, y * c - x * s, r, fine, *angles)
+    phi, psi = (angles(signal, fine) for signal in (run.gait.phi, run.gait.psi))
+    return Joints(times, x * c + y * s, y * c - x * s, r, fine, phi, psi)
 
 
 def _rates(values: Float[np.ndarray, "n c"], frame: float) -> Float[np.ndarray, "n c"]:
@@ -62,7 +69,7 @@ def _rates(values: Float[np.ndarray, "n c"], frame: float) -> Float[np.ndarray, 
     return np.asarray(savgol_filter(values, width, 3, deriv=1, delta=frame, axis=0))
 
 
-def _angles(signal: AbstractSignal, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+def angles(signal: AbstractSignal, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """The joint's angle; before time 0 it stands where it starts."""
     return np.asarray(_at(signal, jnp.asarray(np.maximum(times, 0.0))))
 

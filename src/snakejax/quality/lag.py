@@ -15,7 +15,7 @@ from .._errors import InputError
 from .._gait import on_clock
 from .._recording import LogClock, Run
 from .finding import Finding, Track, finding
-from .joints import SMOOTH, STEP, Joints, beside_joints
+from .joints import SMOOTH, STEP, Joints, beside_joints, yaw_terms
 
 FAR = 3.0
 """Within this [s] the clocks of a log and of the cameras are searched for their lag."""
@@ -104,9 +104,7 @@ def _best(seen: Joints, around: float, most: float) -> Lag | None:
 
 def _left(seen: Joints, offset: float) -> float:
     """The share of the yaw rate that joints `offset` ahead leave; inf where the signs are wrong."""
-    against, steer = seen.at(offset)
-    u, r = seen.u, seen.r
-    features = np.stack([against, u * np.tan(steer), np.ones_like(u), steer, u], axis=1)
+    r, features = seen.r, yaw_terms(*seen.at(offset), seen.u)
     sizes = np.sqrt((features**2).sum(axis=0))
     if not (sizes[:2] > 1e-9).all():
         return np.inf
