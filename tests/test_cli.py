@@ -157,6 +157,7 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (("simulate", "paper-rotate", "--load", "3"), "knows no load"),
         (("simulate", "paper-gait1", "--load", "-3"), "A load of -3 N is none"),
         (("simulate", "paper-gait1", "--camber", "30"), "A camber of 30 rad is none"),
+        (("simulate", "paper-gait1", "--load", "60000"), "beyond Bakker's formulas: Pacejka.B must be above 0"),
         (("simulate", "paper-rotate", "--start", "1,2"), "`1,2` is no pose"),
         (("simulate", "paper-rotate", "--set", "k_s=9"), "add --model rayleigh"),
         (("simulate", "paper-rotate", "--model", "rayleigh"), "k_s has no value"),

@@ -36,10 +36,10 @@ def said(case, runs):
     return [(f.kind, f.what, f.run) for f in inspected(eqx.tree_at(lambda c: c.runs, case, tuple(runs))).findings]
 
 
-@pytest.fixture(scope="module")
-def every_case():
-    folder = beside("recordings")
-    return [load_case(path) for path in [*BUNDLED, *sorted(folder.glob("board-?"))]]
+@pytest.fixture(scope="module", params=["bundled", "recordings"])
+def every_case(request):
+    folders = BUNDLED if request.param == "bundled" else sorted(beside("recordings").glob("board-?"))
+    return [load_case(folder) for folder in folders]
 
 
 def test_nothing_is_found_in_recordings_as_they_are(every_case):

@@ -102,6 +102,7 @@ def test_no_draw_leaves_its_domain_or_contradicts_the_recording() -> None:
         assert (again.misfit - best.misfit) * best.samples < 1.2 * limit
 
 
+@pytest.mark.long
 def test_the_worst_is_the_worst_of_the_draws_simulated_one_by_one(monkeypatch) -> None:
     monkeypatch.setattr(task, "GUESSES", 12)
     found = uncertain(8.0, 0.0)

@@ -7,6 +7,7 @@ import pytest
 from snakejax import TABLE_II, Board, Case, Gait, Model, Noise, Pacejka, Run, Sines, diagnose, simulate
 from snakejax._misfit import noise_band
 from snakejax._score import Reduced, confusable, score
+from snakejax._windows import velocities
 from snakejax.effects import ComOffset, GripSplit, GroundSlope, YawBias
 
 
@@ -105,3 +106,25 @@ def test_a_candidate_that_the_runs_cannot_show_is_named_with_the_reason():
     assert [candidate.effect for candidate in base.ranking] == ["yaw_bias"]
     assert set(base.left_out) == {"grip_split", "com_offset"}
     assert "opposite wheel angles" in base.left_out["grip_split"]
+
+
+def test_velocities_are_those_of_local_cubics():
+    """A cubic in time comes out whole, over lost frames and at both ends; else the fit through what is near."""
+    t = np.arange(1200) / 100
+    cubic = np.stack([0.1 * t**3 - t, 0.5 * t**2 + 1, 0.3 * t], axis=1)
+    slope = np.stack([0.3 * t**2 - 1, t, 0.3 * np.ones_like(t)], axis=1)
+    wild = np.cumsum(np.random.default_rng(0).normal(size=(1200, 3)), axis=0)
+    for lost in (np.zeros(1200, bool), np.isin(np.arange(1200), [0, 5, 300, *range(600, 700), 1199])):
+        pose, rate = velocities(_seen(t, np.where(lost[:, None], np.nan, cubic)))
+        np.testing.assert_allclose(pose, cubic, atol=1e-9)
+        np.testing.assert_allclose(rate, slope, atol=1e-8)
+        pose, rate = velocities(_seen(t, np.where(lost[:, None], np.nan, wild)))
+        for k in (0, 7, 40, 298, 599, 730, 1190):
+            near = (np.abs(t - t[k]) < 0.125) & ~lost
+            c = np.polyfit(t[near] - t[k], wild[near], 3)
+            np.testing.assert_allclose((pose[k], rate[k]), (c[-1], c[-2]), atol=1e-7)
+
+
+def _seen(t: np.ndarray, pose: np.ndarray) -> Run:
+    still = Sines.of([])
+    return Run("one", "train", jnp.asarray(t), jnp.asarray(pose), Gait(still, still))

@@ -14,12 +14,13 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / "snakejax"
 # From the bottom up. A package (`effects`, `readers`) is one place in the order; its files may share among themselves.
 # fmt: off
 ORDER = [
-    "_prepare", "_errors", "_units", "_math", "_tyre", "_board", "_gait", "_recording", "_batch", "_effect", "_skid",
-    "_model", "_simulate", "_lanes", "_marquardt", "_least_squares", "_study", "effects", "readers", "quality", "_toml",
+    "_prepare", "_errors", "_units", "_math", "_tyre", "_board", "_gait", "_recording", "_whitening", "_batch",
+    "_effect", "_skid", "_model", "_simulate", "_lanes", "_marquardt", "_least_squares", "_study", "effects",
+    "readers", "quality", "_toml",
     "_hints", "_case", "_presets", "_check", "_template", "_understand", "_import", "_pieces", "_cluster", "_sweep",
     "_rayleigh", "_windows", "_starting", "_misfit", "_estimates", "_approach", "_fit", "_profile",
-    "_log_clocks", "_window_clocks", "_log_noise",
-    "_align", "_replay", "_scenes", "_grip", "_stretches", "_whiteness", "_shares", "_compare", "_score", "_sight",
+    "_log_clocks", "_window_clocks", "_replay", "_log_noise",
+    "_align", "_scenes", "_grip", "_stretches", "_whiteness", "_shares", "_compare", "_score", "_sight",
     "_bench", "_refit", "_prospects", "_accomplices", "_rank", "_free_force", "_driven", "_process", "_drive",
     "_dependence", "_missing", "_starter",
     "_acceptance", "_stage", "_diagnose", "_follow", "_explain", "_shapes", "_limits", "_torque", "_objective", "_ran",

@@ -1,5 +1,6 @@
 """Joint logs on a clock of their own: what the motion alone says of it, what the fit says, and noise in the log."""
 
+import dataclasses
 import shutil
 from pathlib import Path
 
@@ -10,11 +11,14 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from snakejax import explain, fit_logged, load_case, noise_of, starting_model
+from snakejax import explain, fit_logged, load_case, noise_of, simulate, simulate_many, stacked, starting_model
 from snakejax._errors import InputError
 from snakejax._gait import Gait, Logged, on_clock
-from snakejax._log_noise import is_noisy, redrawn
-from snakejax._recording import LogClock
+from snakejax._log_noise import is_noisy, redrawn, wandering
+from snakejax._recording import LogClock, Run
+from snakejax._replay import replay
+from snakejax._units import with_parameters
+from snakejax._whitening import coloured, whitened, whitening
 from snakejax.effects import LIBRARY
 from snakejax.quality import clocks, lag, smoothed
 
@@ -150,6 +154,69 @@ def test_a_noisy_log_is_smoothed_and_a_clean_one_is_not():
         assert np.std(good - exact) < 0.05 * np.std(raw - exact)
 
 
+def started(t: np.ndarray, at: float) -> np.ndarray:
+    """A joint that rests at 0.2 rad until `at` [s], and is then accelerated with 12 rad/s^2."""
+    s = np.maximum(t - at, 0.0)
+    return 0.2 + 0.75 * (1 - np.cos(4 * s))
+
+
+def test_the_onset_of_a_joint_is_found():
+    rng = np.random.default_rng(0)
+    found = []
+    for k in range(30):
+        rate, noise = ((100.0, 0.0), (1000.0, 0.0), (100.0, 5e-4))[k % 3]
+        t, at = np.arange(-1, 4, 1 / rate), rng.uniform(-0.4, 0.4)
+        seen = started(t, at) + noise * rng.normal(size=t.size)
+        found.append((smoothed(t, seen, starts=True).onset - at, noise))
+    exact = [abs(off) for off, noise in found if noise == 0]
+    assert len(exact) == 20 and max(exact) < 5e-5
+    rough = np.array([off for off, noise in found if noise > 0])
+    assert np.sqrt((rough**2).mean()) < 2e-3
+
+
+def test_what_has_no_onset():
+    t = np.arange(-1, 4, 0.01)
+    for joint in (np.full(t.size, 0.3), np.sin(4 * t), started(t, -0.99), started(t, 3.97)):
+        assert smoothed(t, joint, starts=True).onset is None
+    assert smoothed(t, started(t, 0.1)).onset is None
+
+
+@pytest.mark.parametrize("onset", [-0.5, 0.0, 2.95, 4.0, np.nan])
+def test_an_onset_outside_the_log_is_refused(onset):
+    t = np.linspace(0, 3, 40)
+    with pytest.raises(ValueError, match=r"begins at .* s, outside its log from 0 to 3 s"):
+        Logged.of(t, np.sin(t), onset=onset)
+
+
+def test_a_joint_is_followed_through_its_onset():
+    """100 samples a second: the rate within 3e-4 rad/s; without the kink it is ten times as far off."""
+    t, fine = np.arange(-1, 4, 0.01), jnp.arange(-0.2, 1.0, 1e-3)
+    seen = started(t, 0.1234)
+    kinked, smooth = Logged.of(t, *smoothed(t, seen, starts=True)), Logged.of(t, seen)
+    moving = np.maximum(np.asarray(fine) - 0.1234, 0.0)
+    angle, rate, _ = jax.vmap(kinked.at)(fine)
+    np.testing.assert_allclose(angle, started(np.asarray(fine), 0.1234), atol=3e-5)
+    np.testing.assert_allclose(rate, 3.0 * np.sin(4 * moving), atol=3e-4)
+    assert np.abs(jax.vmap(smooth.at)(fine).rate - 3.0 * np.sin(4 * moving)).max() > 3e-3
+    assert np.abs(jax.vmap(kinked.at)(fine[fine < 0.12]).rate).max() == 0.0
+
+
+def test_a_board_at_rest_begins_with_its_joints():
+    """A clock that is late moves a run in time, and changes nothing else."""
+    t = np.arange(-1, 5, 0.01)
+    gait = Gait(*(Logged.of(t, *smoothed(t, size * (started(t, 0.05) - 0.2), starts=True)) for size in (0.5, 1.0)))
+    model = starting_model(load_case(DATA))
+    times = jnp.arange(0.5, 3.0, 0.1)
+    for offset in (0.02, 0.08, 0.3):
+        early = on_clock(gait, jnp.asarray(offset), jnp.asarray(0.0))
+        assert float(early.begins()) == pytest.approx(min(0.0, 0.05 - offset), abs=1e-5)
+        for start, resting in ((jnp.zeros(3), False), (jnp.zeros(6), True)):
+            moved = simulate(model, early, times, start, resting=resting).pose
+            np.testing.assert_allclose(moved, simulate(model, gait, times + offset).pose, atol=1e-6)
+    many = simulate_many(stacked([model, model]), early, np.asarray(times), workers=1)
+    np.testing.assert_allclose(many, np.stack([simulate(model, early, times).pose] * 2), atol=1e-5)
+
+
 def test_noise_that_is_drawn_anew_is_as_what_smoothing_leaves():
     """Against the truth, in angle, rate and acceleration: no smaller, and at most a third larger."""
     t = np.arange(0, 12, 0.01)
@@ -167,6 +234,45 @@ def test_noise_that_is_drawn_anew_is_as_what_smoothing_leaves():
     assert (sizes > 0.9).all() and (sizes < 1.33).all()
     clean = Gait(Logged.of(t, true), Logged.of(t, true))
     assert not is_noisy(clean) and redrawn(clean, rng).phi is clean.phi
+
+
+def test_whitened_residuals_are_independent():
+    """Of covariance 1 + D D^T they have the covariance 1, and `coloured` goes back."""
+    rng = np.random.default_rng(0)
+    weight = np.full((2, 40, 3), 50.0)
+    wander = rng.normal(size=(40, 3, 5)) * np.array([1.0, 0.3, 0.1, 0.05, 0.02]) / 10
+    K = whitening([jnp.asarray(wander), None], weight)
+    assert whitening([None, None], weight) is None and not np.asarray(K[1]).any()
+    D = 50 * wander.reshape(120, 5)
+    W = np.asarray(jax.vmap(lambda r: whitened(r, K[0]))(jnp.eye(120).reshape(120, 40, 3))).reshape(120, 120)
+    np.testing.assert_allclose(W @ (np.eye(120) + D @ D.T) @ W.T, np.eye(120), atol=1e-12)
+    r = rng.normal(size=(40, 3))
+    np.testing.assert_allclose(coloured(np.asarray(whitened(jnp.asarray(r), K[0])), K[0]), r, atol=1e-12)
+    assert whitened(r, None) is r and coloured(r, None) is r
+
+
+@pytest.mark.long
+def test_what_a_noisy_log_does_to_a_run_is_taken_from_its_residuals():
+    """Runs under logs of 2 mrad: misfits far from 1 as they are, and 1 within 4 sigma, all draws together, whitened."""
+    case, rng, noise = load_case(DATA), np.random.default_rng(1), 2e-3
+    (run,) = [one for one in case.runs if one.name == "train-arc-1"]
+    tyre = {"tyre.B": 7.589, "tyre.C": 1.515, "tyre.D": 8.543, "tyre.E": -0.122}
+    model = with_parameters(starting_model(case), tyre)
+    t, start = np.arange(-1, 13, 0.01), np.zeros((1, 3))
+    weight = np.tile(1 / np.asarray(noise_of(case).channels), (run.times.size, 1))
+
+    def logged() -> Run:
+        joints = [np.where(t < 0, 0.0, jax.vmap(s.at)(jnp.asarray(t)).angle) for s in (run.gait.phi, run.gait.psi)]
+        seen = [joint + noise * rng.normal(size=t.size) for joint in joints]
+        return dataclasses.replace(run, gait=Gait(*(Logged.of(t, *smoothed(t, one, starts=True)) for one in seen)))
+
+    (true,) = replay(model, [run], start)
+    (mine,) = wandering(model, [logged()], start)
+    K = whitening([mine.wander], weight[None])[0]
+    left = [(true - replay(model, [logged()], start)[0]) * weight + rng.normal(size=weight.shape) for _ in range(20)]
+    white = [np.mean(np.asarray(whitened(jnp.asarray(r), K)) ** 2) for r in left]
+    assert np.mean(np.square(left)) > 1.3
+    assert abs(np.mean(white) - 1) < 4 * np.sqrt(2 / (len(left) * weight.size))
 
 
 @pytest.mark.long
@@ -192,7 +298,7 @@ def test_the_fit_tells_the_clocks_of_noisy_logs(tmp_path):
         assert abs(estimate.value - true) < 3 * estimate.sd
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_is_missing_is_found_although_the_clocks_are_not_known(tmp_path):
     """The floor is tilted: under a model without a slope whole runs cannot tell a clock, short windows can."""
     names = ("train-forward-1", "train-rotate-1", "train-wander-1")

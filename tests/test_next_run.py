@@ -69,6 +69,7 @@ def run_of(found, model):
     return np.asarray(simulate(model, gait, jnp.linspace(0.0, SECONDS, 151)).pose)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("options", "payload", "said"),
     [
@@ -105,6 +106,7 @@ def test_a_gait_for_draws_from_the_fit_does_on_them_what_is_said(told, over) -> 
     assert min(found["spread"]) <= found["objective"] * 1.5 and found["before"]["objective"] > 0
 
 
+@pytest.mark.long
 def test_an_effect_of_ones_own_is_told_from_another_on_the_laden_board(told, case) -> None:
     """Against differences of simulations of a board whose mass and inertia are those of board and payload.
 

@@ -3,7 +3,8 @@
 The motion alone tells how far the clocks of log and cameras are apart to some hundredths of a second; the model tells
 it to milliseconds. Around a fit the residuals depend on the offset o and the drift d of each run's log almost linearly,
 so one step of Gauss and Newton, over parameters, starts and clocks together, moves the clocks, and the fit is repeated.
-In the end parameters and clocks have the standard errors of both together, and of the noise in the logs.
+In the end parameters and clocks have the standard errors of both together. What noise in the logs does to a run, its
+wander, is drawn under a first fit, and the fit repeated with residuals that it does not make dependent.
 """
 
 import dataclasses
@@ -19,13 +20,16 @@ from ._estimates import spread
 from ._fit import Fit, described, fit
 from ._least_squares import starts_removed
 from ._log_clocks import STEPS, STILL, by_clock, by_clocks, free_clocks, moved_clock
-from ._log_noise import is_noisy, replayed
+from ._log_noise import is_noisy, wandering
 from ._model import Model
 from ._recording import Case, Noise, Run
+from ._replay import fitted_starts
 from ._starting import chosen, default_free
 from ._study import Optimum, Study, inverse
 from ._window_clocks import window_clocks
 
+FAR_OFF = 50.0
+"""Above this misfit a model does not say what noise in the logs does."""
 ROUNDS = 8
 """Fits after which the clocks stand still, or never do."""
 
@@ -39,7 +43,8 @@ def fit_logged(
     threshold: float = np.inf,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Fit:
-    """`fit`, and with it the free clocks of joint logs: the runs of the fit have them, with standard errors.
+    """`fit`, and with it the free clocks of joint logs: the runs of the fit have them, with standard errors; and their
+    wander, where the logs have noise.
 
     What the parameters' errors owe to the clocks, and both to noise in the logs, is in them.
     """
@@ -47,9 +52,12 @@ def fit_logged(
         names = default_free(model) if free is None else chosen(model, free)
         runs = window_clocks(model, runs, noise, names, progress)
     found = fit(model, runs, noise, free, threshold=threshold, progress=progress)
+    told = with_wander(found, progress)
+    if told is not None:
+        found = _refitted(found, told, threshold)
     if clocked:
         found = aligned(found, threshold, progress)
-    return with_log_errors(found, progress)
+    return with_clock_errors(found, progress)
 
 
 def aligned(found: Fit, threshold: float, progress: Callable[[str], None]) -> Fit:
@@ -57,21 +65,48 @@ def aligned(found: Fit, threshold: float, progress: Callable[[str], None]) -> Fi
     for _ in range(ROUNDS):
         progress("aligning the clocks of the joint logs")
         runs, moved = align(found)
-        before = found.study
-        study = Study.of(before.model, runs, before.noise, before.names, before.width, before.accuracy)
-        train, began = study.numbered("train"), found.optimum
-        optimum = study.fit(began.values, began.free, train, began.start, threshold=threshold)
-        found = described(study, require_sound(study, optimum, train))
+        found = _refitted(found, runs, threshold)
         if moved < STILL:
             break
     return found
 
 
-def with_clocks(model: Model, case: Case, noise: Noise, progress: Callable[[str], None] = lambda _: None) -> Case:
-    """`case` with the free clocks of its joint logs where short windows under `model` want them; itself if none is."""
-    if not any(free_clocks(run) for run in case.runs):
-        return case
-    return dataclasses.replace(case, runs=window_clocks(model, case.runs, noise, default_free(model), progress))
+def _refitted(found: Fit, runs: Sequence[Run], threshold: float) -> Fit:
+    """The fit of `runs`, from where that of theirs as they were ended."""
+    before, began = found.study, found.optimum
+    study = Study.of(before.model, runs, before.noise, before.names, before.width, before.accuracy)
+    train = study.numbered("train")
+    optimum = study.fit(began.values, began.free, train, began.start, threshold=threshold)
+    return described(study, require_sound(study, optimum, train))
+
+
+def with_wander(found: Fit, progress: Callable[[str], None] = lambda _: None) -> tuple[Run, ...] | None:
+    """The runs of `found` with what noise in their logs brings; None where there is none, or the model is too far off
+    to say what it does.
+    """
+    if not (any(is_noisy(run.gait) for run in found.study.runs) and found.optimum.misfit < FAR_OFF):
+        return None
+    progress("what noise in the joint logs does")
+    try:
+        return wandering(found.model, found.study.runs, fitted_starts(found))
+    except FitError:
+        return None
+
+
+def with_logs_told(model: Model, case: Case, noise: Noise, progress: Callable[[str], None] = lambda _: None) -> Case:
+    """`case` with the free clocks of its joint logs where short windows under `model` want them, and with what noise in
+    the logs does; itself where there is nothing to tell.
+    """
+    if any(free_clocks(run) for run in case.runs):
+        runs = window_clocks(model, case.runs, noise, default_free(model), progress)
+        case = dataclasses.replace(case, runs=runs)
+    if any(is_noisy(run.gait) for run in case.runs):
+        try:
+            runs = with_wander(fit(model, case.runs, noise, progress=progress), progress)
+        except FitError:
+            runs = None
+        case = case if runs is None else dataclasses.replace(case, runs=runs)
+    return case
 
 
 def align(found: Fit) -> tuple[tuple[Run, ...], float]:
@@ -93,21 +128,19 @@ def align(found: Fit) -> tuple[tuple[Run, ...], float]:
     return tuple(runs), moved
 
 
-def with_log_errors(found: Fit, progress: Callable[[str], None] = lambda _: None) -> Fit:
-    """`found` with the errors that clocks and noise of the joint logs bring; itself where there are none."""
+def with_clock_errors(found: Fit, progress: Callable[[str], None] = lambda _: None) -> Fit:
+    """`found` with the errors that free clocks of the joint logs bring; itself where there are none."""
     study, optimum = found.study, found.optimum
-    if not any(free_clocks(run) or is_noisy(run.gait) for run in study.runs):
+    if not any(free_clocks(run) for run in study.runs):
         return found
     progress("what the joint logs leave open")
     joint = _linear(study, optimum, study.numbered("train"), optimum)
-    total = joint.covariance + joint.scatter(study, optimum) / spread(optimum) ** 2
     runs = list(study.runs)
-    wider = optimum._replace(covariance=total[joint.count :, joint.count :])
-    _set_errors(runs, joint, np.sqrt(np.diag(total)) * spread(optimum))
+    wider = optimum._replace(covariance=joint.covariance[joint.count :, joint.count :])
+    _set_errors(runs, joint, np.sqrt(np.diag(joint.covariance)) * spread(optimum))
     if (judged := found.heldout_optimum) is not None:
         unseen = _linear(study, judged, study.numbered("heldout"), wider)
-        total = unseen.covariance + unseen.scatter(study, judged) / spread(judged) ** 2
-        _set_errors(runs, unseen, np.sqrt(np.diag(total)) * spread(judged))
+        _set_errors(runs, unseen, np.sqrt(np.diag(unseen.covariance)) * spread(judged))
     return described(dataclasses.replace(study, runs=tuple(runs)), wider)
 
 
@@ -137,13 +170,6 @@ class _Linear(NamedTuple):
         """The Gauss-Newton step that `residual` asks for."""
         parts = zip(self.numbers, self.columns, strict=True)
         return -self.inverse @ sum(part[:, : self.moving].T @ np.asarray(residual[k]).reshape(-1) for k, part in parts)
-
-    def scatter(self, study: Study, optimum: Optimum) -> Float[np.ndarray, "m m"]:
-        """The covariance of the steps that noise in the logs brings."""
-        if not any(is_noisy(study.runs[k].gait) for k in self.numbers):
-            return np.zeros_like(self.covariance)
-        steps = np.array([self.step(change) for change in replayed(study, optimum, self.numbers)])
-        return steps.T @ steps / len(steps)
 
 
 def _linear(study: Study, optimum: Optimum, numbers: list[int], fitted: Optimum) -> _Linear:

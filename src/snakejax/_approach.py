@@ -2,16 +2,19 @@
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
 from ._errors import FitError
 from ._least_squares import domains_of
 from ._study import Optimum, Study
-from ._windows import LENGTH, Windows
+from ._windows import LENGTH, Settled, Windows
 
 TOLD, LONGEST = 3.0, 0.01
 """A step that tells whether derivatives hold moves all residuals by so many standard deviations; and its longest."""
+WEAKER = 0.25
+"""The second size of the tyre force from which windows settle."""
 HORIZONS = (1.5, 4.0)
 """The first seconds [s] on which a fit finds its way before it takes whole runs: errors have not grown there yet."""
 GOOD_START = 1.1
@@ -68,9 +71,16 @@ def shot(study: Study, free: Sequence[str], runs: Sequence[int], threshold: floa
     progress("fitting windows")
     pieces = [study.runs[k] for k in runs]
     windows = Windows.of(study.model, pieces, study.noise, study.names, study.width, LENGTH)
-    settled = windows.settle(study.values(), free)
+    found = settled(windows, study.values(), free)
     progress("fitting whole runs")
-    return study.fit(settled.values, free, runs, threshold=threshold)
+    return study.fit(found.values, free, runs, threshold=threshold)
+
+
+def settled(windows: Windows, values: Mapping[str, float], free: Sequence[str]) -> Settled:
+    """`windows` settled from `values`, and from a weaker tyre force where it is free: the better of both."""
+    weaker = {n: v * WEAKER if n in free and n in ("tyre.D", "tyre.k_s") else v for n, v in values.items()}
+    with ThreadPoolExecutor() as pool:
+        return min(pool.map(lambda start: windows.settle(start, free), (values, weaker)), key=lambda s: s.cost)
 
 
 def least(*optima: Optimum) -> Optimum:

@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from ._gait import AbstractSignal, Gait, Logged, Scaled, Sines, Tracked
 from ._recording import Noise, Run
+from ._whitening import whitening
 
 
 class Batch(eqx.Module):
@@ -17,7 +18,8 @@ class Batch(eqx.Module):
 
     `weight` (R, n, 3) is one over the noise's standard deviation, zero where a sample is missing. `start` (R, S) is a
     first guess of where each run starts, `free_start` (R, S) is 1 where it is to be estimated; S is 3 (pose) where all
-    runs start at rest, else 6 (pose and velocities).
+    runs start at rest, else 6 (pose and velocities). `whitening` (R, n, 3, q), where a run has a `wander`, is what
+    `whitened` takes.
     """
 
     times: Float[Array, "R n"]
@@ -27,6 +29,7 @@ class Batch(eqx.Module):
     payload: Float[Array, "R 2"]
     start: Float[Array, "R S"]
     free_start: Float[Array, "R S"]
+    whitening: Float[Array, "R n 3 q"] | None = None
 
     @property
     def resting(self) -> Bool[Array, " R"]:
@@ -70,6 +73,7 @@ def batch(runs: Sequence[Run], noise: Noise) -> Batch:
         jnp.stack([jnp.asarray(run.payload) for run in runs]),
         jnp.asarray(start),
         jnp.asarray(free, jnp.float64),
+        whitening([run.wander for run in runs], np.array(weight)),
     )
 
 

@@ -170,8 +170,10 @@ def _joints(row: Table, folder: Path) -> _Joints:
         times, *angles = read_joint_log(path)
         clock = _log_clock(row)
         cameras = clock.camera_times(times)
-        signals = [None if angle is None else Logged.of(cameras, *smoothed(cameras, angle)) for angle in angles]
-        return _Joints(*signals, exact=kind == "measured")
+        # A joint is accelerated from rest; a command may jump.
+        measured = kind == "measured"
+        found = [None if angle is None else smoothed(cameras, angle, starts=measured) for angle in angles]
+        return _Joints(*(None if part is None else Logged.of(cameras, *part) for part in found), exact=measured)
     keys = [key for key in JOINTS if key != "phi_back" or key in row.values]
     signals = [Sines.of(row.numbers(key, 3, f"{key} = [[amplitude, frequency, phase], ...]")) for key in keys]
     return _Joints(*signals, *[None] * (len(JOINTS) - len(keys)), exact=False)

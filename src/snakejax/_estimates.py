@@ -66,14 +66,15 @@ def combined(study: Study, optimum: Optimum, estimates: Mapping[str, Estimate]) 
         values, vectors = np.linalg.eigh(optimum.covariance[np.ix_(rows, rows)])
         domains = domains_of(study.model, open_)
         for variance, vector in zip(values, vectors.T, strict=True):
-            if np.sqrt(max(variance, 0.0)) * factor < 0.1:
+            sd = float(np.sqrt(max(variance, 0.0))) * factor
+            if sd < 0.1:
                 vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
                 terms = [
                     f"{weight:+.2f} {'ln ' if d.multiplicative else ''}{name.rsplit('.', 1)[-1]}"
                     for weight, name, d in zip(vector, open_, domains, strict=True)
                 ]
                 points = [d.step_to(optimum.values[name]) for name, d in zip(open_, domains, strict=True)]
-                found[" ".join(terms)] = Estimate(float(vector @ points), float(np.sqrt(variance)) * factor, "-", True)
+                found[" ".join(terms)] = Estimate(float(vector @ points), sd, "-", True)
     return found
 
 

@@ -8,7 +8,7 @@ import equinox as eqx
 import numpy as np
 
 from ._acceptance import better_structure, heldout_noise
-from ._align import aligned, with_clocks, with_log_errors
+from ._align import aligned, with_clock_errors, with_logs_told, with_wander
 from ._bench import HOPELESS, LATERAL_SKID, NEARLY
 from ._diagnose import Diagnosis, Question, diagnose, silent
 from ._effect import Effect
@@ -16,6 +16,7 @@ from ._errors import FitError
 from ._fit import described
 from ._follow import follow
 from ._log_clocks import STILL, free_clocks
+from ._log_noise import is_noisy
 from ._misfit import only_noise
 from ._missing import Missing, believed
 from ._rank import rank, significant
@@ -65,26 +66,26 @@ def explain(
 ) -> Explanation:
     """Find out which effects of `library` the recordings of `case` show beyond the base model.
 
-    The free clocks of joint logs are found with them: from short windows first, then as the final model has them, with
-    which the recordings are explained once more, `AGAIN` times at most.
+    The free clocks of joint logs are found with them, and what noise in the logs does: from short windows and the base
+    first, then as the final model has them, with which the recordings are explained once more, `AGAIN` times at most.
 
     **Arguments:** `show` is given each stage; `question`, see `Question`.
     **Raises:** `FitError` where the base cannot be fitted.
     """
     progress = question.get("progress", silent)
-    free = any(free_clocks(run) for run in case.runs)
-    if free:
+    logged = any(free_clocks(run) or is_noisy(run.gait) for run in case.runs)
+    if logged:
         model = starting_model(case, question.get("kind", "pacejka"), question.get("skid"))
-        case = with_clocks(model, case, noise, progress)
-    tell = silent if free else show
+        case = with_logs_told(model, case, noise, progress)
+    tell = silent if logged else show
     found, stages = _followed(case, noise, library, tell, question)
-    for _ in range(AGAIN if free else 0):
-        again = _with_clocks_of(case, stages[-1], progress)
+    for _ in range(AGAIN if logged else 0):
+        again = _with_logs_of(case, stages[-1], progress)
         if again is None:
             break
         case = again
         found, stages = _followed(case, noise, library, tell, question)
-    for one in stages if free else ():
+    for one in stages if logged else ():
         show(one)
     return _with_errors(_concluded(case, noise, found, stages, progress), progress)
 
@@ -96,31 +97,37 @@ def _followed(case: Case, noise: Noise, library, show, question: Question) -> tu
     return found, [found.base, *_beyond(found, question.get("progress", silent), show)]
 
 
-def _with_clocks_of(case: Case, last: Stage, progress) -> Case | None:
-    """`case` with the clocks of joint logs as the `last` model has them; None where it is too far off to tell them, or
-    they stay where they are.
+def _with_logs_of(case: Case, last: Stage, progress) -> Case | None:
+    """`case` with the clocks of joint logs, and what their noise does, as the `last` model has them; None where it is
+    too far off to tell, or nothing changes.
     """
-    if not last.step.optimum.misfit < HOPELESS:
+    free = any(free_clocks(run) for run in case.runs)
+    untold = any(is_noisy(run.gait) and run.wander is None for run in case.runs)
+    if not (free or untold) or not last.step.optimum.misfit < HOPELESS:
         return None
-    try:
-        runs = aligned(described(last.bench.study, last.step.optimum), np.inf, progress).study.runs
-    except FitError:
-        return None
+    found = described(last.bench.study, last.step.optimum)
+    if free:
+        try:
+            found = aligned(found, np.inf, progress)
+        except FitError:
+            return None
+    runs = found.study.runs
     stay = all(
         abs(getattr(new.log, name) - getattr(old.log, name)) < STILL * getattr(new.log, f"{name}_sd")
         for new, old in zip(runs, case.runs, strict=True)
         for name in free_clocks(new)
     )
-    return None if stay else dataclasses.replace(case, runs=runs)
+    told = with_wander(found, progress) if untold else None
+    return None if stay and told is None else dataclasses.replace(case, runs=runs if told is None else told)
 
 
 def _with_errors(found: Explanation, progress) -> Explanation:
-    """`found`, the estimates of a last stage near the noise with the errors that joint logs bring."""
+    """`found`, the estimates of a last stage near the noise with the errors that clocks of joint logs bring."""
     last = found.final
     if all(run.log is None for run in found.case.runs) or not last.step.optimum.misfit < NEARLY:
         return found
     fit = described(last.bench.study, last.step.optimum)
-    wider = with_log_errors(fit, progress)
+    wider = with_clock_errors(fit, progress)
     if wider is fit:
         return found
     stages = (*found.stages[:-1], last._replace(estimates=wider.estimates))

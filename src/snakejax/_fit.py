@@ -17,7 +17,7 @@ from ._study import Optimum, Study
 SHARPENED = 2
 """So many times a fit is taken up with sharper simulations, where its derivatives are not theirs."""
 LACKING = 50.0
-"""Above this misfit of whole runs the fit is tried once more from where windows lead it."""
+"""Above this misfit of whole runs, or where it got stuck, the fit is tried once more from where windows lead it."""
 
 
 class Fit(eqx.Module):
@@ -91,7 +91,7 @@ def fit_study(
     best = approach(study, study.values() if values is None else values, free, train, progress)
     progress("fitting whole runs")
     optimum = study.fit(best.values, free, train, best.start, threshold=threshold)
-    if not optimum.misfit < LACKING and free:
+    if free and not (optimum.misfit < LACKING and optimum.converged):
         optimum = least(optimum, shot(study, free, train, threshold, progress))
     for sharpened in range(SHARPENED + 1):
         wild = unsound(study, require_sound(study, optimum, train), train) if optimum.misfit < LACKING else None

@@ -63,35 +63,53 @@ class Sines(AbstractSignal):
         return Joint(angle, rate, acceleration)
 
 
+UNSEEN = 1e9
+"""The onset [s] of a joint that was not seen to begin; finite, for what is infinite has no derivative."""
+NEAR = 0.1
+"""A sample so many frames after an onset says no more than the onset."""
+
+
 class Logged(AbstractSignal):
     """A measured or commanded joint angle from a log: the natural cubic spline through its samples.
 
     Build it with `Logged.of(times, angles)`. Before and after the log the joint stays where the log begins and ends.
-    Where each sample had `noise` [rad], it is a smoothing spline of the `strength` that took most of that away.
+    Where each sample had `noise` [rad], it is a smoothing spline of the `strength` that took most of that away. A joint
+    that rests until `onset` [s], and is then accelerated at once, is a constant before it and a spline after it, with
+    rate zero between them; `UNSEEN` where that was not seen.
     """
 
     knots: Float[Array, " n"]
     coefficients: Float[Array, "4 n-1"]
     noise: Scalar = eqx.field(default_factory=lambda: jnp.zeros(()))
     strength: Scalar = eqx.field(default_factory=lambda: jnp.zeros(()))
+    onset: Scalar = eqx.field(default_factory=lambda: jnp.asarray(UNSEEN))
 
     @staticmethod
-    def of(times: Any, angles: Any, noise: float = 0.0, strength: float = 0.0) -> "Logged":
-        """From `times` [s], strictly increasing, and `angles` [rad], both (n,) with n >= 4."""
+    def of(times: Any, angles: Any, noise: float = 0.0, strength: float = 0.0, onset: float | None = None) -> "Logged":
+        """From `times` [s], strictly increasing, and `angles` [rad], both (n,) with n >= 4.
+
+        **Raises:** `ValueError` for other times or angles, and an `onset` [s] without samples on either side.
+        """
         times, angles = np.asarray(times, np.float64), np.asarray(angles, np.float64)
         if times.size < 4 or times.shape != angles.shape:
             raise ValueError(f"A joint log needs at least 4 samples of time and angle, but has {times.size}.")
         if not (np.isfinite(times).all() and np.isfinite(angles).all() and (np.diff(times) > 0).all()):
             raise ValueError("The times of a joint log must be finite and increase, and its angles must be finite.")
-        spline = jnp.asarray(CubicSpline(times, angles, bc_type="natural").c)
-        return Logged(jnp.asarray(times), spline, jnp.asarray(float(noise)), jnp.asarray(float(strength)))
+        if onset is not None and not times[0] < onset < times[-2]:
+            raise ValueError(f"The joint begins at {onset:g} s, outside its log from {times[0]:g} to {times[-1]:g} s.")
+        if onset is None:
+            spline = CubicSpline(times, angles, bc_type="natural").c
+        else:
+            times, spline = _kinked(times, angles, onset)
+        parts = noise, strength, UNSEEN if onset is None else onset
+        return Logged(jnp.asarray(times), jnp.asarray(spline), *(jnp.asarray(float(part)) for part in parts))
 
     def on_clock(self, offset: Scalar, drift: Scalar) -> "Logged":
         """The same signal on a clock that shows t where that of the knots shows t (1 + drift) + offset [s]."""
         pace = 1 + drift
         powers = jnp.stack([pace**k for k in (3, 2, 1, 0)])
-        moved = (self.knots - offset) / pace, self.coefficients * powers[:, None]
-        return dataclasses.replace(self, knots=moved[0], coefficients=moved[1])
+        knots, onset = ((part - offset) / pace for part in (self.knots, self.onset))
+        return dataclasses.replace(self, knots=knots, coefficients=self.coefficients * powers[:, None], onset=onset)
 
     def padded(self, samples: int) -> "Logged":
         """The same signal with `samples` knots, the new ones after its end, where it stays."""
@@ -111,6 +129,22 @@ class Logged(AbstractSignal):
         angle = ((c3 * d + c2) * d + c1) * d + c0
         rate, acceleration = (3 * c3 * d + 2 * c2) * d + c1, 6 * c3 * d + 2 * c2
         return Joint(angle, jnp.where(inside, rate, 0.0), jnp.where(inside, acceleration, 0.0))
+
+
+def parted(times: np.ndarray, onset: float) -> tuple[np.ndarray, np.ndarray]:
+    """Which samples at `times` [s] (n,) are of the rest before an `onset`, and which of the motion after it."""
+    return times < onset, times > onset + NEAR * float(np.median(np.diff(times)))
+
+
+def _kinked(times: np.ndarray, angles: np.ndarray, onset: float) -> tuple[np.ndarray, np.ndarray]:
+    """Knots and coefficients of a joint that rests until `onset`, and has no rate there."""
+    rest, moving = parted(times, onset)
+    knots = np.concatenate([[onset], times[moving]])
+    level = float(angles[rest].mean())
+    after = CubicSpline(knots, np.concatenate([[level], angles[moving]]), bc_type=((1, 0.0), (2, 0.0))).c
+    before = np.zeros((4, int(rest.sum())))
+    before[3] = level
+    return np.concatenate([times[rest], knots]), np.concatenate([before, after], axis=1)
 
 
 class Tracked(AbstractSignal):
@@ -193,13 +227,26 @@ class Gait(eqx.Module):
     psi: AbstractSignal
     phi_back: AbstractSignal | None = None
 
+    def begins(self) -> Scalar:
+        """The time [s] at which a board at rest has to begin: 0, or before it where a joint was seen to begin then."""
+        return jnp.min(jnp.stack([jnp.zeros(()), *(log.onset for log in logs_of(self))]))
+
+
+def _is_logged(part: Any) -> bool:
+    return isinstance(part, Logged)
+
+
+def logs_of(gait: Gait) -> list[Logged]:
+    """The logs of `gait`."""
+    return [part for part in jax.tree.leaves(gait, is_leaf=_is_logged) if _is_logged(part)]
+
 
 def with_logs(gait: Gait, change: Callable[[Logged], Logged]) -> Gait:
     """`gait` with a `change` of each of its logs, and all else as it is."""
     return jax.tree.map(
-        lambda part: change(part) if isinstance(part, Logged) else part,
+        lambda part: change(part) if _is_logged(part) else part,
         gait,
-        is_leaf=lambda part: isinstance(part, Logged),
+        is_leaf=_is_logged,
     )
 
 

@@ -105,7 +105,8 @@ def _moved(p: Array, h: Array, row: list[float], slopes: list[Array]) -> Array:
 def _poses(models: Model, gaits: Gait, times: Array, start: Array, accuracy: Accuracy) -> Float[Array, "B n 3"]:
     """Poses of one block, infinite where a lane did not get to the end."""
     delay = jax.vmap(lambda model: model.delay() + jnp.zeros(()))(models)
-    until = jnp.maximum(times[:, None] - delay[None, :], 0.0)
+    begins = jax.vmap(lambda gait: gait.begins())(gaits)
+    until = jnp.maximum(times[:, None] - delay[None, :], begins[None, :])
     states = jax.vmap(lambda model, at: model.start((at[0], at[1], at[2])))(models, start)
     leaves, structure = jax.tree.flatten(states)
 
@@ -116,7 +117,7 @@ def _poses(models: Model, gaits: Gait, times: Array, start: Array, accuracy: Acc
     def rates(t, y):
         return jax.vmap(one)(t, y, models, gaits)
 
-    states, finished = _block(rates, leaves, until, jnp.zeros_like(delay), accuracy)
+    states, finished = _block(rates, leaves, until, begins, accuracy)
     bodies = jax.tree.unflatten(structure, states)[0]
     pose = jax.vmap(lambda model, body: jnp.stack(model.observe(body), axis=-1), in_axes=(0, 1))(models, bodies)
     return jnp.where(finished[:, None, None] & jnp.isfinite(pose), pose, jnp.inf)

@@ -14,6 +14,7 @@ from ._marquardt import MOST_STEPS, Ending, levenberg_marquardt
 from ._model import Model
 from ._simulate import Accuracy, simulate
 from ._units import Domain, parameters, with_parameters
+from ._whitening import whitened
 
 REACH = 3.0
 LANES = 8
@@ -112,7 +113,7 @@ def _run_residual(model, names, values, start, batch: Batch, accuracy: Accuracy)
     loaded = eqx.tree_at(lambda m: m.board, set_, replace_fn=lambda b: b.loaded(*batch.payload))
     how = {"accuracy": accuracy, "throw": False, "resting": batch.resting}
     pose = simulate(loaded, batch.gait, batch.times, start, **how).pose
-    return jnp.where(batch.weight > 0, (batch.pose - pose) * batch.weight, 0.0)
+    return whitened(jnp.where(batch.weight > 0, (batch.pose - pose) * batch.weight, 0.0), batch.whitening)
 
 
 def linearise(model, at: Unknowns, batch: Batch, order, count, steps, start_steps, accuracy) -> Linearised:

@@ -1,28 +1,29 @@
 """What noise in the joint logs does to residuals: a board that is driven by a noisy log goes another way.
 
 A smoothing spline takes most of the noise of a log away, and leaves a part that moves the simulated board slowly: an
-error of a fit that no number of camera frames averages out. Here that part is drawn anew, and played.
+error of a fit that no number of camera frames averages out, and that looks like a missing effect. Here that part is
+drawn anew, and played; what it does to a run is the run's `wander`, which whitens its residuals.
 """
 
-from collections.abc import Iterator
+import dataclasses
+from collections.abc import Sequence
 
-import equinox as eqx
-import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ._batch import stacked_gaits
-from ._gait import Gait, Logged, with_logs
-from ._study import Optimum, Study
-from .quality import splined
+from ._gait import Gait, Logged, logs_of, with_logs
+from ._model import Model
+from ._recording import Run
+from ._replay import replay
+from .quality import Smoothed, smoothed_again
 
-DRAWS = 40
+DRAWS = 80
 
 
 def is_noisy(gait: Gait) -> bool:
     """Whether a log of `gait` had noise."""
-    parts = jax.tree.leaves(gait, is_leaf=lambda part: isinstance(part, Logged))
-    return any(isinstance(part, Logged) and float(part.noise) > 0 for part in parts)
+    return any(float(log.noise) > 0 for log in logs_of(gait))
 
 
 def redrawn(gait: Gait, rng: np.random.Generator) -> Gait:
@@ -35,19 +36,33 @@ def redrawn(gait: Gait, rng: np.random.Generator) -> Gait:
             return log
         times, c = np.asarray(log.knots), np.asarray(log.coefficients)
         angles = np.append(c[3], np.polyval(c[:, -1], times[-1] - times[-2]))
+        began = float(log.onset) if log.onset < times[-1] else None
+        sampled = times != began
+        times, angles = times[sampled], angles[sampled]
         seen = angles + float(log.noise) * rng.normal(size=times.size)
-        return Logged.of(times, splined(times, seen, float(log.strength)), float(log.noise), float(log.strength))
+        like = Smoothed(angles, float(log.noise), float(log.strength), began)
+        return Logged.of(times, *smoothed_again(times, seen, like))
 
     return with_logs(gait, again)
 
 
-def replayed(study: Study, optimum: Optimum, numbers: list[int], seed: int = 0) -> Iterator[Float[np.ndarray, "R n 3"]]:
-    """How the whitened residuals of the runs `numbers` change where their logs had other noise, `DRAWS` times."""
+def wandering(
+    model: Model, runs: Sequence[Run], starts: Float[np.ndarray, "R S"], draws: int = DRAWS, seed: int = 0
+) -> tuple[Run, ...]:
+    """`runs`, each with the `wander` that noise in its log brings under `model` from its start.
+
+    **Raises:** `FitError` where the simulation of a run fails.
+    """
     rng = np.random.default_rng(seed)
-    at = study.at(optimum.values, (), optimum.start)
-    until = float(np.asarray(study.batch.times).max())
-    before = study.evaluate(at, numbers).residual
-    for _ in range(DRAWS):
-        gaits = [redrawn(run.gait, rng) if k in numbers else run.gait for k, run in enumerate(study.runs)]
-        there = eqx.tree_at(lambda s: s.batch.gait, study, stacked_gaits(gaits, until))
-        yield there.evaluate(at, numbers).residual - before
+    done = list(runs)
+    noisy = [k for k, run in enumerate(runs) if is_noisy(run.gait)]
+    mine = [done[k] for k in noisy]
+    usual = replay(model, mine, starts[noisy])
+    off = []
+    for _ in range(draws):
+        drawn = [dataclasses.replace(run, gait=redrawn(run.gait, rng)) for run in mine]
+        poses = replay(model, drawn, starts[noisy])
+        off.append([pose - before for pose, before in zip(poses, usual, strict=True)])
+    for k, changes in zip(noisy, zip(*off, strict=True), strict=True):
+        done[k] = dataclasses.replace(done[k], wander=jnp.asarray(np.stack(changes, axis=-1) / np.sqrt(draws)))
+    return tuple(done)

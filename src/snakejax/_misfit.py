@@ -7,6 +7,7 @@ import numpy as np
 
 from ._recording import CHANNELS
 from ._study import Optimum, Study
+from ._whitening import coloured
 
 NOISE_SIGMAS = 4.0
 """Only noise is left where the misfit lies within this many standard deviations of that of noise alone."""
@@ -41,7 +42,8 @@ def run_scores(study: Study, optimum: Optimum, runs: Sequence[int]) -> tuple[Run
     for k in runs:
         r, w = np.asarray(optimum.linearised.residual[k]), weight[k]
         seen = w > 0
-        error = np.where(seen, r / np.where(seen, w, 1.0), 0.0)
+        K = None if study.batch.whitening is None else study.batch.whitening[k]
+        error = np.where(seen, coloured(r, K) / np.where(seen, w, 1.0), 0.0)
         frames = max(int(seen[:, 0].sum()), 1)
         channels = {name: float((r[:, c] ** 2).sum() / max(seen[:, c].sum(), 1)) for c, name in enumerate(CHANNELS)}
         scores.append(

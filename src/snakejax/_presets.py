@@ -94,7 +94,14 @@ def _loaded(load: float, camber: float) -> Model:
     if not abs(camber) < _QUARTER:
         raise InputError(f"A camber of {camber:g} rad is none", "option --camber", "give it in rad, within +- pi/2")
     board = Board(mass=mass_under(load), rotor_inertia=4.0, wheelset_inertia=1.0, half_length=4.0)
-    return Model(board, Bakker(load, camber, offsets=False), "coupled")
+    tyre = Bakker(load, camber, offsets=False)
+    try:
+        tyre.coefficients()
+    except ValueError as error:
+        what = f"A load of {load:g} N with a camber of {camber:g} rad is beyond Bakker's formulas"
+        remedy = "come nearer to those of the paper"
+        raise InputError(f"{what}: {str(error).rstrip('.')}", "options --load and --camber", remedy) from error
+    return Model(board, tyre, "coupled")
 
 
 def mass_under(load):

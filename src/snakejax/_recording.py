@@ -42,7 +42,8 @@ class Run(eqx.Module):
     `times` [s] (n,) count from the start of the run at 0; `pose` (n, 3) holds x [m], y [m] and the unwrapped heading
     [rad], NaN where a frame was lost. `payload` is the extra mass [kg] and yaw inertia [kg m^2] this run carried.
     A run that is `moving` was already under way at its first sample `times[0]`; any other starts at rest at time 0.
-    `log`, where its joints were logged, is how the log's clock goes; the gait is on the cameras' already.
+    `log`, where its joints were logged, is how the log's clock goes; the gait is on the cameras' already. `wander`
+    (n, 3, q): where that log has noise, the model's pose is off by wander z with z standard normal, in m and rad.
     """
 
     name: str = eqx.field(static=True)
@@ -53,6 +54,7 @@ class Run(eqx.Module):
     payload: Float[Array, "2"] = eqx.field(default_factory=lambda: jnp.zeros(2))
     moving: bool = eqx.field(static=True, default=False)
     log: LogClock | None = eqx.field(static=True, default=None)
+    wander: Float[Array, "n 3 q"] | None = None
 
 
 class Noise(eqx.Module):

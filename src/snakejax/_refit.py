@@ -1,19 +1,16 @@
 """Fits of the base and of models with more effects, from windows to whole train runs."""
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from ._approach import approach, least, require_sensitive, require_sound
-from ._bench import CLOSE, HOPELESS, WORKERS, Bench
+from ._approach import approach, least, require_sensitive, require_sound, settled
+from ._bench import CLOSE, HOPELESS, Bench
 from ._misfit import only_noise
 from ._study import Optimum
 
 CRAWL = 2e-3
 """A model that is not the truth is fitted no further where a step lowers its misfit by less than this share."""
-WEAKER = 0.25
-"""The second size of the tyre force from which windows settle."""
 
 
 def base_fit(bench: Bench, effects: Sequence[str] = (), progress: Callable[[str], None] = lambda _: None) -> Optimum:
@@ -33,11 +30,8 @@ def fresh_fit(
     study, train, free = bench.study, bench.train, bench.free(effects)
     progress("fitting windows")
     began = {name: study.values()[name] for name in bench.tyre}
-    weaker = {name: value * WEAKER for name, value in began.items() if name in ("tyre.D", "tyre.k_s")}
     values = {name: bench.off_zero(name, value) if name in free else value for name, value in values.items()} | began
-    with ThreadPoolExecutor(WORKERS) as pool:
-        settled = pool.map(lambda start: bench.windows.settle(start, free), (values, values | weaker))
-        best = min(settled, key=lambda s: s.cost)
+    best = settled(bench.windows, values, free)
     progress("fitting whole runs")
     misfit = best.cost / max(best.found.residual.size, 1)
     found = refit(bench, effects, best.values, near=misfit < CLOSE)

@@ -62,10 +62,11 @@ def simulate(
 
     Can be transformed by `jax.jit`, `jax.vmap` and the derivative that `accuracy` names, over any leaf.
 
-    **Arguments:** `times` [s] (n,), increasing. `start`: (x [m], y [m], heading [rad]) of a board at rest at time 0; or
-    six numbers, (x, y, heading, u, w, r) under `free` and (x, y, heading, u, beta, s) under `coupled`, of a board under
-    way at `times[0]`, and then, if wanted, the memories of `Model.start_moving`; where `resting`, of a board at rest at
-    time 0 after all, whose speeds are zero. `throw`: raise where the solver fails, else say so in the result.
+    **Arguments:** `times` [s] (n,), increasing. `start`: (x [m], y [m], heading [rad]) of a board at rest at time 0, or
+    when its logged joints begin to move where that is before; or six numbers, (x, y, heading, u, w, r) under `free` and
+    (x, y, heading, u, beta, s) under `coupled`, of a board under way at `times[0]`, and then, if wanted, the memories
+    of `Model.start_moving`; where `resting`, of a board at rest at time 0 after all, whose speeds are zero. `throw`:
+    raise where the solver fails, else say so in the result.
 
     **Raises:** `RuntimeError` without double precision; the solver's error where it cannot reach the accuracy.
     """
@@ -73,14 +74,14 @@ def simulate(
     times, start = jnp.asarray(times), jnp.asarray(start, jnp.float64)
     if start.shape not in ((3,), (6,), (6 + model.memories,)):
         raise ValueError(f"Argument `start` must have 3 or 6 numbers, but its shape is {start.shape}.")
-    delayed = times - model.delay()
+    delayed, begins = times - model.delay(), gait.begins()
     if start.shape == (3,):
-        t0, delayed = jnp.zeros(()), jnp.maximum(delayed, 0.0)
+        t0, delayed = begins, jnp.maximum(delayed, begins)
         state = model.start((start[0], start[1], start[2]))
     else:
-        # A board that rests at time 0 rested before, whatever the clocks.
-        t0 = jnp.where(resting, 0.0, delayed[0])
-        delayed = jnp.where(resting, jnp.maximum(delayed, 0.0), delayed)
+        # A board that rests when it begins rested before, whatever the clocks.
+        t0 = jnp.where(resting, begins, delayed[0])
+        delayed = jnp.where(resting, jnp.maximum(delayed, begins), delayed)
         state = model.start_moving(tuple(start[k] for k in range(start.shape[0])), t0, gait)
     states, finished = _integrate(model, gait, state, t0, delayed, accuracy, throw)
     pose = jnp.stack(model.observe(states[0]), axis=-1)

@@ -12,6 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.signal import savgol_filter
 
 from ._least_squares import Linearised, Unknowns, domains_of, first, linearise, narrowed, widened
 from ._model import Model
@@ -34,6 +35,10 @@ LOST = 2.0
 """A window whose cost rises by more than this factor has lost the track of its start."""
 SMOOTHING = 0.12
 """Half width [s] of the cubic through the samples that gives the velocities at the start of a window."""
+FEWEST = 8
+"""Samples that a cubic goes through at least."""
+EVEN = 1e-3
+"""Frames are evenly spaced where they come within this share of one on time."""
 
 
 def cut(run: Run, length: float) -> list[Run]:
@@ -50,20 +55,38 @@ def cut(run: Run, length: float) -> list[Run]:
         part = slice(a, min(b, a + size))
         if np.isfinite(np.asarray(run.pose)[part]).all(axis=1).sum() >= 12:
             name = f"{run.name}[{k}]"
-            windows.append(Run(name, run.role, run.times[part], run.pose[part], run.gait, run.payload, True))
+            wander = None if run.wander is None else run.wander[part]
+            windows.append(
+                Run(name, run.role, run.times[part], run.pose[part], run.gait, run.payload, True, wander=wander)
+            )
     return windows
 
 
 def velocities(run: Run) -> tuple[np.ndarray, np.ndarray]:
     """Smoothed pose (n, 3) and its rate (n, 3) at every sample, from local cubics through what was seen."""
     t, seen = np.asarray(run.times), np.asarray(run.pose)
-    present = np.isfinite(seen).all(axis=1)
+    present = np.flatnonzero(np.isfinite(seen).all(axis=1))
     known, poses = t[present], seen[present]
     pose, rate = np.empty_like(seen), np.empty_like(seen)
-    for k, now in enumerate(t):
-        near = np.abs(known - now) <= SMOOTHING
-        if near.sum() < 8:
-            near = np.argsort(np.abs(known - now))[:8]
+    frame = float(np.median(np.diff(known)))
+    half = int(SMOOTHING / frame + 1e-6)
+    steady = np.zeros(len(known), bool)
+    if half >= 4 and len(known) > 2 * half:
+        # Where no frame is lost the cubic is the same filter everywhere.
+        uneven = np.concatenate([[0], np.cumsum(np.abs(np.diff(known) - frame) > EVEN * frame)])
+        steady[half : len(known) - half] = uneven[2 * half :] == uneven[: -2 * half]
+        for out, order in ((pose, 0), (rate, 1)):
+            found = savgol_filter(poses, 2 * half + 1, 3, deriv=order, delta=frame, axis=0)
+            out[present[steady]] = found[steady]
+    reach = (half + 0.5) * frame
+    for k in np.delete(np.arange(len(t)), present[steady]):
+        now = t[k]
+        first, middle, last = np.searchsorted(known, [now - reach, now, now + reach])
+        if last - first < FEWEST:
+            around = np.arange(max(0, middle - FEWEST), min(len(known), middle + FEWEST))
+            near = around[np.argsort(np.abs(known[around] - now))[:FEWEST]]
+        else:
+            near = np.arange(first, last)
         c = np.polyfit(known[near] - now, poses[near], min(3, len(known[near]) - 1))
         pose[k], rate[k] = c[-1], c[-2]
     return pose, rate

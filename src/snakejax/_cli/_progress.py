@@ -28,6 +28,7 @@ _FIT = (
     Phase("fitting windows", 7.0, False),
     Phase("fitting whole runs more accurately", 6.0, False),
     Phase("aligning the clocks", 10.0, False),
+    Phase("what noise in the joint logs does", 40.0, False),
     Phase("what the joint logs leave open", 10.0, False),
 )
 _DIAGNOSE = (
@@ -35,6 +36,7 @@ _DIAGNOSE = (
     Phase("fitting whole runs$", 3.0),
     Phase(r"first (seconds|\d)", 4.0, False),
     Phase("fitting whole runs more accurately", 6.0, False),
+    Phase("what noise in the joint logs does", 40.0, False),
     Phase("scoring candidates", 2.0),
     Phase("settling on windows", 5.0),
     Phase(r"settling \d+ candidates", 7.0),

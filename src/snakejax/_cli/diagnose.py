@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
 def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
     """Diagnose one case."""
     from .. import plot
-    from .._align import with_clocks
+    from .._align import with_logs_told
     from .._diagnose import diagnose
     from .._files import write_whole
     from .._provenance import provenance_json
@@ -45,7 +45,7 @@ def work(options: argparse.Namespace, case: Any, say: Say) -> Outcome:
 
     clock = Clock()
     noise = noise_of(case)
-    case = with_clocks(starting_model(case, options.model, options.skid), case, noise, say)
+    case = with_logs_told(starting_model(case, options.model, options.skid), case, noise, say)
     base = diagnose(case, noise, library(options), **wanted(options), progress=say).base
     provenance = provenance_json(options.seed, given(options), case.sha256)
     result = {**diagnosis_json(case, noise, base, provenance, clock.seconds()), **joint_logs_json(case.runs)}

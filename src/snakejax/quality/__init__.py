@@ -12,8 +12,9 @@ from .joints import angles as angles
 from .lag import clocks as clocks
 from .lag import lag as lag
 from .lag import with_log_clock as with_log_clock
+from .logs import Smoothed as Smoothed
 from .logs import smoothed as smoothed
-from .logs import splined as splined
+from .logs import smoothed_again as smoothed_again
 from .noise import estimate_noise as estimate_noise
 from .noise import marker_noise as marker_noise
 from .noise import noise_of as noise_of
