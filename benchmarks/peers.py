@@ -178,7 +178,7 @@ def by_process(case, noise, bench: Bench, step: Step, model: Model) -> tuple[str
         length[k] = factor.k2.length_scale
         weights[:, k] = process.alpha_.ravel() * factor.k1.constant_value * size
     force = Process(*(jnp.asarray(part) for part in (scale, V, length, weights, mean)))
-    known = {name: value for name, value in missing.values.items() if name.startswith("tyre.")}
+    known = {name: e.value for name, e in missing.estimates.items() if name.startswith("tyre.")}
     model = with_parameters(model, known).add(residual=force)
     return f"train {misfit(model, case, noise, 'train'):.3g}", misfit(model, case, noise, "heldout")
 

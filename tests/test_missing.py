@@ -109,11 +109,25 @@ def test_of_two_structures_the_force_is_counted_beside_the_one_that_leaves_less(
     for k, model in enumerate(structures(case, "pacejka", None)):
         bench = Bench.of(model, case, NOISE, few, switched=k == 1)
         both.append((bench, Step((), SimpleNamespace(values=bench.study.values(), misfit=np.inf))))
-    found = believed(both[::-1])
+    found = believed(both[::-1], both[0][0], ())
     assert not found.switched and found.left < 1.2
     assert np.isnan(np.concatenate([run.sd[:, 1] for run in found.runs])).all()
     assert np.isfinite(np.concatenate([run.sd[:, [0, 2]] for run in found.runs])).all()
     assert found.depends_on[0][0] == "world_position"
+
+
+@pytest.mark.slow
+def test_a_known_effect_survives_beside_the_force_and_a_mere_helper_does_not():
+    """A spring pulls at a board whose steering lags: beside the lag the spring is seen alone, a bias makes no odds."""
+    case = made(spring=Spring(), steering_lag=LIBRARY["steering_lag"](0.04))
+    few = {name: LIBRARY[name]() for name in ("yaw_bias", "steering_lag")}
+    bench = Bench.of(structures(case, "pacejka", None)[0], case, NOISE, few)
+    step = Step((), SimpleNamespace(values=bench.study.values(), misfit=np.inf))
+    found = believed([(bench, step)], bench, tuple(few))
+    assert found.beside == ("steering_lag",)
+    assert found.depends_on[0][0] == "world_position"
+    lag = found.estimates["effects.steering_lag.T"]
+    assert abs(lag.value - 0.04) < 3 * lag.sd and lag.sd < 0.01
 
 
 VALUES = np.linspace(-3, 3, 25)

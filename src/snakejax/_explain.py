@@ -31,9 +31,10 @@ AGAIN = 2
 class Explanation(eqx.Module):
     """The whole story: `stages[0]` is the base, the last one the final model.
 
-    `verdict`: "adequate", "explained" or "unexplained". `effects`: what explains the recordings. `partial`: what helped
-    without explaining. `left_out`: candidates that do not apply, with the reason. `missing`: the force that the base
-    lacks, where nothing explains it; None where there is but one train run to learn it from.
+    `verdict`: "adequate", "explained" or "unexplained". `effects`: what explains the recordings, or of those that stay
+    unexplained what survives beside the missing force. `partial`: what helped without explaining. `left_out`:
+    candidates that do not apply, with the reason. `missing`: the force that the base lacks, where nothing explains it;
+    None where there is but one train run to learn it from.
     """
 
     case: Case
@@ -171,8 +172,13 @@ def _concluded(case: Case, noise: Noise, found: Diagnosis, stages: list[Stage], 
         return Explanation(case, noise, tuple(stages), verdict, last.effects, (), stages[0].left_out, None)
     missing = None
     if len(last.bench.train) > 1:
-        # Helpers that do not explain would hide a part of it, so it is counted from the structures alone.
-        missing = believed(
-            [(found.base.bench, found.base.step), *([found.switched] if found.switched else [])], progress
-        )
-    return Explanation(case, noise, tuple(stages), "unexplained", (), last.effects, stages[0].left_out, missing)
+        # Helpers that do not explain would hide a part of it, so it is counted from the structures on.
+        structures = [(found.base.bench, found.base.step), *([found.switched] if found.switched else [])]
+        helpers = [name for name in last.step.effects if name not in stages[0].step.effects]
+        missing = believed(structures, last.bench, helpers, progress)
+    survived = () if missing is None else missing.beside
+    partial = tuple(name for name in last.effects if name not in survived)
+    # What a fit without the force says of the effects that survive beside it is wrong by what the force does.
+    surer = {} if missing is None else {n: e for n, e in missing.estimates.items() if n.split(".")[1] in survived}
+    told = (*stages[:-1], last._replace(estimates=last.estimates | surer))
+    return Explanation(case, noise, told, "unexplained", survived, partial, stages[0].left_out, missing)

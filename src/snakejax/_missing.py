@@ -1,14 +1,24 @@
-"""The missing force: what must be added to a model that no known effect repairs, and what it depends on."""
+"""The missing force: what must be added to a model that no known effect repairs, what it depends on, and which known
+effects survive beside it.
+"""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from ._bench import NEARLY, Bench, Step
+from ._bench import LATERAL_SKID, NEARLY, Bench, Step
 from ._dependence import Shape, dependence
 from ._drive import Drive, Settled
+from ._estimates import Estimate
 from ._free_force import SPACING
+from ._least_squares import domains_of
+
+SURVIVES = 0.25
+"""A known effect survives beside a force of one cause where that force then leaves less than this share of what it left
+above the noise without the effect."""
+LITTLE = 0.05
+"""Where a force of one cause leaves no more than this above the noise, nothing else is looked for."""
 
 
 class RunForce(NamedTuple):
@@ -28,16 +38,18 @@ class Missing(NamedTuple):
 
     A share is that part of the misfit above noise which a dependence on this variable alone predicts on runs left out.
     `misfit` is the mean square of the windows' residuals without and with the free force; `shape` is None where no
-    variable predicts anything. `values` are the parameters of the model beside which the force acts, by name;
-    `switched`, whether its wheelsets skid freely although the board was said to be coupled.
+    variable predicts anything. `beside`: the known effects that survive beside the force, `lateral_skid` among them
+    where the structure does. `estimates` are the parameters of the model beside which it acts, by name; `switched`,
+    whether its wheelsets skid freely although the board was said to be coupled.
     """
 
     runs: tuple[RunForce, ...]
     depends_on: tuple[tuple[str, float], ...]
     shape: Shape | None
     misfit: tuple[float, float]
-    values: dict[str, float]
+    estimates: dict[str, Estimate]
     switched: bool
+    beside: tuple[str, ...] = ()
 
     @property
     def left(self) -> float:
@@ -56,23 +68,70 @@ def missing_force(bench: Bench, step: Step, progress: Callable[[str], None] = la
     # Far from the recordings the fit of whole runs has gone astray: what is typical is the better start.
     near = step.optimum.misfit < NEARLY
     fresh = {} if near else {name: value for name, value in bench.study.values().items() if name in bench.tyre}
-    settled = bench.windows.settle({**step.optimum.values, **fresh}, free)
+    neutral = {name: value for name, value in bench.study.values().items() if name not in free}
+    start = {n: bench.off_zero(n, v) if n in free else v for n, v in (step.optimum.values | neutral | fresh).items()}
+    settled = bench.windows.settle(start, free)
     drive = Drive.of(bench, step.effects, settled.values, free)
     now = drive.settled(settled.start[:, : 6 + drive.model.memories])
     progress("what does the missing force depend on?")
     depends_on, shape = dependence(drive, now)
     samples = float((np.asarray(drive.batch.weight) > 0).sum())
     misfit = (settled.cost / samples, float((now.found.residual**2).sum()) / samples)
-    values = {name: float(value) for name, value in zip(drive.names, now.point.values, strict=True)}
-    return Missing(_forces(drive, now), depends_on, shape, misfit, values, bench.switched)
+    return Missing(_forces(drive, now), depends_on, shape, misfit, _estimates(drive, now, misfit[1]), bench.switched)
 
 
-def believed(structures: Sequence[tuple[Bench, Step]], progress: Callable[[str], None] = lambda _: None) -> Missing:
-    """The missing force beside that of the `structures` where a force of one cause leaves least.
+def believed(
+    structures: Sequence[tuple[Bench, Step]],
+    last: Bench,
+    helpers: Sequence[str],
+    progress: Callable[[str], None] = lambda _: None,
+) -> Missing:
+    """The missing force beside that of the `structures` where a force of one cause leaves least, and beside those of
+    the `helpers` that survive there; these were found under the structure of the `last` bench.
 
-    How far whole runs of a wrong model come says nothing about its structure; what the windows leave does.
+    How far whole runs of a wrong model come says nothing about its structure, nor about an effect that makes up for a
+    part of what is missing; what a force of one cause leaves of the windows does.
     """
-    return min((missing_force(bench, step, progress) for bench, step in structures), key=lambda found: found.left)
+    found = [missing_force(bench, step, progress) for bench, step in structures]
+    if len(found) > 1 and _survives(found[1], found[0]):
+        found[1] = found[1]._replace(beside=(LATERAL_SKID,))
+    for k, (bench, step) in enumerate(structures):
+        if bench is last:
+            found[k] = _with_survivors(bench, step, found[k], helpers, progress)
+    return min(found, key=lambda one: one.left)
+
+
+def _with_survivors(bench, step: Step, alone: Missing, helpers: Sequence[str], progress) -> Missing:
+    """The force beside the `helpers` that survive there, one after the other."""
+    now, rest = alone, list(helpers)
+    while rest and now.left > 1 + LITTLE:
+        more = []
+        for name in rest:
+            progress(f"does {name} survive beside the missing force?")
+            effects = (*step.effects, *(n for n in now.beside if n != LATERAL_SKID), name)
+            more.append(missing_force(bench, Step(effects, step.optimum))._replace(beside=(*now.beside, name)))
+        best = min(more, key=lambda one: one.left)
+        if not _survives(best, now):
+            break
+        now = best
+        rest.remove(best.beside[-1])
+    return now
+
+
+def _survives(then: Missing, now: Missing) -> bool:
+    return then.left - 1 < SURVIVES * (now.left - 1)
+
+
+def _estimates(drive: Drive, now: Settled, misfit: float) -> dict[str, Estimate]:
+    """The free parameters with what the force, whatever it is, leaves open of them."""
+    steps = np.sqrt(np.diag(now.posterior.covariance) * max(misfit, 1.0))
+    found = {}
+    for name, value, sd, domain in zip(
+        drive.names, now.point.values, steps, domains_of(drive.model, drive.names), strict=True
+    ):
+        natural = sd * abs(value) if domain.multiplicative else sd
+        found[name] = Estimate(float(value), float(natural), domain.unit, True)
+    return found
 
 
 def _forces(drive: Drive, now: Settled) -> tuple[RunForce, ...]:

@@ -59,9 +59,10 @@ FIRST = Prior(np.array([0.3, 0.3, 0.05]), 0.5)
 
 
 class Posterior(NamedTuple):
-    """Parameter step (P,), and the knots (Kr, 3) of each run with their variance."""
+    """Parameter step (P,) with its covariance, and the knots (Kr, 3) of each run with their variance."""
 
     step: np.ndarray
+    covariance: np.ndarray
     force: list[np.ndarray]
     variance: list[np.ndarray]
 
@@ -97,7 +98,7 @@ def posterior(
             carried = spread.T @ Z[:, 1:]
             own = (spread**2).sum(axis=0) + np.einsum("kp,pk->k", carried, linalg.cho_solve(factor, carried.T))
             variance.append(own.reshape(3, -1).T)
-    return Posterior(step, force, variance)
+    return Posterior(step, linalg.cho_solve(factor, np.eye(len(pull))), force, variance)
 
 
 def fitted_prior(

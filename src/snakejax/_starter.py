@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from ._bench import LATERAL_SKID
 from ._dependence import PERIODIC, Shape
 from ._missing import Missing
 
@@ -68,12 +69,13 @@ def starter(missing: Missing) -> str:
         lines = [*joint, f"v = {seen or _SEEN[shape.feature]}", *lines]
     method = "lateral(self, force, wheel, motion)" if drop else "wrench(self, motion)"
     unit = _UNITS[shape.carrier]
+    known = "".join(f" --effect {effect}" for effect in missing.beside if effect != LATERAL_SKID)
     fields = [f'    {name}: sj.Scalar = sj.param("{_unit(unit, name, shape)}", default=0.0)' for name in found]
     body = "\n".join(f"        {line}" for line in lines)
     values_found = ", ".join(f"{name}={value:.4g}" for name, value in found.items())
     return f'''"""A missing action that depends on {shape.variable}, as `snakejax explain` found it. Mend it at will.
 
-Fit it:  snakejax fit CASE{" --skid free" if missing.switched else ""} --effect THIS_FILE.py:MissingForce
+Fit it:  snakejax fit CASE{" --skid free" if missing.switched else ""}{known} --effect THIS_FILE.py:MissingForce
 Found:   {values_found}
 """
 

@@ -66,16 +66,30 @@ def explanation_json(found: Explanation, provenance: Json, seconds: Json | None 
 
 
 def unexplained_json(found: Explanation) -> Json:
-    """What is left, which effects helped, and the missing force with what it depends on."""
+    """What is left, which effects helped, the missing force with what it depends on, and what survives beside it."""
     missing = found.missing
     return {
         "misfit": misfit_json(found.final.train, found.final.heldout),
         "partial": list(found.partial),
+        "beside": {effect: _named(estimates) for effect, estimates in beside(found).items()},
         "force": None if missing is None else [_force_json(run) for run in missing.runs],
         "depends_on": None
         if missing is None
         else [{"variable": variable, "share": share} for variable, share in missing.depends_on],
     }
+
+
+def beside(found: Explanation) -> dict[str, dict[str, Estimate]]:
+    """{effect: {parameter: estimate}} of what survives beside the missing force, as the free force leaves it open."""
+    if found.missing is None:
+        return {}
+    known = found.missing.estimates
+    parts = {effect: f"effects.{effect}." for effect in found.missing.beside}
+    return {e: {n.removeprefix(p): known[n] for n in known if n.startswith(p)} for e, p in parts.items()}
+
+
+def _named(estimates: Mapping[str, Estimate]) -> Json:
+    return {name: estimate_json(estimate) for name, estimate in estimates.items()}
 
 
 def _force_json(run: RunForce) -> Json:
@@ -85,7 +99,7 @@ def _force_json(run: RunForce) -> Json:
 
 
 def _tyre(stage: Stage) -> dict[str, Json]:
-    return {name: estimate_json(e) for name, e in stage.estimates.items() if not name.startswith("effects.")}
+    return _named({name: e for name, e in stage.estimates.items() if not name.startswith("effects.")})
 
 
 def _effects(stage: Stage) -> Json:
@@ -158,7 +172,7 @@ def explanation_text(found: Explanation) -> RenderableType:
             f"{number(1000 * stage.train.heading_rad)} mrad",
         )
     lines: list[RenderableType] = [Text(headline(found)), Text(""), table]
-    for effect in found.effects or found.partial:
+    for effect in found.partial if found.verdict == "unexplained" else found.effects:
         lines.append(Text(f"{effect}: {sentence(effect, found.final)} {_values(_of(effect, found.final))}"))
     lines += [Text(line) for line in _twins(found.base, found.effects)]
     if found.missing is not None:
@@ -181,14 +195,18 @@ def _dependence(found: Explanation) -> RenderableType:
         size += (
             " It is counted beside wheelsets that skid freely, where one cause leaves less than beside coupled ones."
         )
+    survivors = [
+        Text(f"Beside it survives {effect}: {sentence(effect, found.final)} {_values(estimates)}")
+        for effect, estimates in beside(found).items()
+    ]
     if missing.shape is None:
-        return Group(Text(size), Text("It depends on nothing that these runs could tell."))
+        return Group(*survivors, Text(size), Text("It depends on nothing that these runs could tell."))
     (first, best), *others = missing.depends_on
     close = [variable for variable, share in others if share > CLOSE * best]
     if close:
         size += f" These runs can hardly tell {first} from {' or '.join(close)}; runs with another gait may."
     advice = "With --out DIR, DIR/missing_force.py is an effect of this form to start one of your own from."
-    return Group(Text(size), table, Text(advice))
+    return Group(*survivors, Text(size), table, Text(advice))
 
 
 def diagnosis_text(case: Case, base: Stage) -> RenderableType:
@@ -243,8 +261,11 @@ def headline(found: Explanation) -> str:
     fall = f"the misfit falls from {misfit_text(base.train.misfit)} to {misfit_text(final.train.misfit)}{unseen}"
     if found.verdict == "explained":
         return f"{found.case.name}: explained by {' and '.join(found.effects)}; {fall} (1 is noise)."
-    helped = f" {' and '.join(found.partial)} helped: {fall}." if found.partial else ""
-    return f"{found.case.name}: unexplained. Nothing known leaves only noise.{helped}"
+    lacking = "Nothing known leaves only noise."
+    if found.effects:
+        lacking = f"{' and '.join(found.effects)}, and beside it a force that nothing known explains."
+    helped = f" {' and '.join(found.final.effects)} helped: {fall}." if found.final.effects else ""
+    return f"{found.case.name}: unexplained. {lacking}{helped}"
 
 
 def _suspects(stage: Stage, most: int = 6, detectable: bool = False) -> RenderableType:

@@ -56,6 +56,7 @@ ROUTES: dict[str, tuple[Phase, ...]] = {
         Phase("can the model do without", 5.0, False),
         Phase("estimating the missing force", 7.0, False),
         Phase("what does the missing force", 3.0, False),
+        Phase("does .* survive", 20.0, False),
         _DRAWING,
     ),
 }

@@ -215,12 +215,15 @@ def parameters(result: Json, advice: Sequence[str] = ()) -> Section:
         for effect, values in (part.get("effects") or {}).items():
             rows += _parameter_rows(values, f"{key}.effects.{effect}", f"{effect}.")
         caption = {"base": "The base model", "final": "The final model"}[key] if len(parts) > 1 else "Parameters"
-        tables.append(table(caption, ("parameter", "#value", "#+-", "unit", "95% interval", ""), rows))
+        tables.append(table(caption, _PARAMETERS, rows))
     if result.get("combinations"):
         rows = list(_parameter_rows(result["combinations"], "combinations"))
         heads = ("together", "#value", "#+-", "unit", "95% interval", "")
         tables.append(table("What the runs determine of several together", heads, rows))
     return Section("parameters", "Parameters", plain_sentences(*advice), (), tuple(tables))
+
+
+_PARAMETERS = ("parameter", "#value", "#+-", "unit", "95% interval", "")
 
 
 def _parameter_rows(parts: Mapping[str, Json], key: str, prefix: str = "") -> Iterator[Row]:
@@ -249,16 +252,25 @@ def missing(result: Json, charts: Sequence[figures.Chart]) -> Section:
     sentences = plain_sentences(
         "No known effect leaves only noise. This is the force that must be added to the model, along (X) and across (Y)"
         " the board and about its vertical (N), with 95% bands.",
+        f"It is counted beside what survives there: {', '.join(left['beside'])}." if left["beside"] else None,
         f"It depends on {shares[0]['variable']} first: that alone predicts {100 * shares[0]['share']:.0f}% of the"
         " excess on runs left out."
         if shares
         else "It depends on nothing that these runs could tell.",
         f"These helped without explaining: {', '.join(left['partial'])}." if left["partial"] else None,
     )
-    if not shares:
-        return Section("missing", "The missing force", sentences, tuple(charts), wide=False)
-    tables = (table("What it depends on", ("variable", "#share"), rows),)
-    return Section("missing", "The missing force", sentences, (figures.dependence(shares), *charts), tables, wide=False)
+    tables = []
+    if shares:
+        tables.append(table("What it depends on", ("variable", "#share"), rows))
+        charts = (figures.dependence(shares), *charts)
+    known = [
+        row
+        for effect, values in left["beside"].items()
+        for row in _parameter_rows(values, f"unexplained.beside.{effect}", f"{effect}.")
+    ]
+    if known:
+        tables.append(table("What survives beside it", _PARAMETERS, known))
+    return Section("missing", "The missing force", sentences, tuple(charts), tuple(tables), wide=False)
 
 
 def recordings(result: Json) -> Section | None:
