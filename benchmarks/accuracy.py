@@ -1,7 +1,7 @@
 """How often the diagnosis is right, on boards made up: with each effect at five strengths, and without any.
 
     python benchmarks/accuracy.py PART [RESULTS]         PART: null, ranking, loop, strong, pairs, strangers,
-                                                         exhaustive, table
+                                                         mixed, exhaustive, table
 
 Each part writes its results line by line into RESULTS (default benchmarks/accuracy.jsonl), and goes on where it was
 stopped; `table` prints what they say, which is kept in benchmarks/accuracy.txt.
@@ -14,6 +14,7 @@ strong      the whole loop on every effect at a size that one would meet, under 
 pairs       the whole loop on 24 pairs of effects at such sizes, every fourth time beside a wrong structure, in runs
             like those of a motion capture: five to train on, two held out, 12 s each.
 strangers   the same with an effect that no library holds.
+mixed       the same with such an effect and a known one together, which must be said to survive beside the force.
 exhaustive  twenty of the hundred, all candidates refitted: the yardstick.
 
 Strengths are multiples of the smallest value that the runs reveal with power 0.8, as the tool itself says of the board
@@ -314,6 +315,37 @@ def strangers(results: Results) -> None:
             results.once("strangers", f"{skid} {name}", work)
 
 
+MIXED = {
+    "spring": "rolling_resistance",
+    "compass": "steering_lag",
+    "warming": "steering_offset",
+    "steering_drag": "ground_slope",
+    "rotor_shake": "longitudinal_slip",
+    "cable": "tyre_relaxation",
+    "patch": "yaw_friction",
+    "carpet": "heading_offset",
+}
+"""A known effect beside each of some strangers."""
+
+
+def mixed(results: Results) -> None:
+    for k, (name, other) in enumerate(MIXED.items()):
+
+        def work(k=k, name=name, other=other) -> dict[str, Any]:
+            effect, variable = boards.STRANGERS[name]
+            skid = boards.SKIDS[k % 2]
+            made = boards.make_long(7000 + k, skid)
+            both = {name: effect, other: with_effect(other, SIZES[other])}
+            found, kept = answered(boards.case(made, 7000 + k, **both))
+            depends = found.missing and found.missing.depends_on[:2]
+            named = found.verdict == "unexplained" and found.effects == (other,)
+            right = named and bool(depends) and depends[0][0] == variable
+            truth = {"skid": skid, "effect": name, "variable": variable, "known": other, "value": SIZES[other]}
+            return {**truth, **kept, "depends_on": depends, "right": right}
+
+        results.once("mixed", name, work)
+
+
 def exhaustive(results: Results) -> None:
     for board, skid, name, strength in list(hundred())[-YARDSTICK:]:
 
@@ -368,6 +400,8 @@ def table(results: Results) -> None:
         _pairs_table(lines)
     if lines := results.of("strangers"):
         _strangers_table(lines)
+    if lines := results.of("mixed"):
+        _mixed_table(lines)
     if lines := results.of("exhaustive"):
         print(f"Against refitting every candidate (AIC), {len(lines)} of the hundred")
         for what, name in (("first", "score"), ("exhaustive", "refits")):
@@ -450,6 +484,20 @@ def _strangers_table(lines: list[dict[str, Any]]) -> None:
     print(_median(lines))
 
 
+def _mixed_table(lines: list[dict[str, Any]]) -> None:
+    right = sum(line["right"] for line in lines)
+    print(f"One of them and a known effect together, the whole loop: {right} of {len(lines)}")
+    for line in lines:
+        depends = ", ".join(f"{name} {share:.2f}" for name, share in line["depends_on"] or ())
+        wrong = "" if line["right"] else f"  ({line['known']}, {line['variable']})"
+        found = line["estimate"]
+        values = [found[n] for e in line["effects"] for n in found if n.startswith(f"effects.{e}.")]
+        sizes = " ".join(f"{value:.4g} +- {sd:.1g}" for value, sd in values)
+        said = ", ".join([_called(line), sizes, f"depends on {depends}"])
+        print(f"  {line['effect']:14}{line['skid']:8} {line['known']} {line['value']:g}: {said}{wrong}")
+    print(_median(lines))
+
+
 def _loop_table(lines: list[dict[str, Any]]) -> None:
     print(f"The whole loop on {len(lines)} of these boards: right / called adequate / wrong, by strength")
     for strength in STRENGTHS:
@@ -472,7 +520,7 @@ def _loop_table(lines: list[dict[str, Any]]) -> None:
     print(_median(lines))
 
 
-PARTS = {part.__name__: part for part in (null, ranking, loop, strong, pairs, strangers, exhaustive, table)}
+PARTS = {part.__name__: part for part in (null, ranking, loop, strong, pairs, strangers, mixed, exhaustive, table)}
 
 if __name__ == "__main__":
     where = Path(sys.argv[2]) if len(sys.argv) > 2 else Path(__file__).with_name("accuracy.jsonl")

@@ -114,30 +114,31 @@ class Drive(eqx.Module):
             self.batch.free_start,
         )
         grid = jnp.asarray(self.began[self.owner] + SPACING * self.first)
-        local = jnp.asarray(np.array([self.local(point.force, k) for k in range(len(self.owner))]))
+        local = jnp.asarray(self.local(point.force))
         r, J, track = jax.tree.map(np.asarray, driven(self.model, at, self.batch, grid, local))
         P, S, K = len(self.names), point.start.shape[1], self.knots
         by_parameters, by_start, by_force, by_grip = np.split(J, (P, P + S, P + S + 3 * K), axis=-1)
         return Linear(r, by_parameters, by_start, by_force, by_grip, track)
 
-    def local(self, force: Sequence[np.ndarray], window: int) -> np.ndarray:
-        """The knots (K, 3) of one window, out of those of its run."""
-        first = self.first[window]
-        return force[self.owner[window]][first : first + self.knots]
+    def local(self, force: Sequence[np.ndarray]) -> np.ndarray:
+        """The knots (W, K, 3) of each window, out of those of its run."""
+        pairs = zip(self.owner, self.first, strict=True)
+        return np.array([force[run][first : first + self.knots] for run, first in pairs])
 
     def windows(self, found: Linear, force: Sequence[np.ndarray]) -> list[Window]:
         """Each window with its start state projected out, linear in the force as a whole and not in its change."""
         free_start, made = np.asarray(self.batch.free_start), []
+        local, memories = self.local(force), self.model.memories
         for k in range(len(self.owner)):
             rows = found.residual[k].size
             r = found.residual[k].reshape(rows)
             P, S, F, G = (-part[k].reshape(rows, -1) for part in found[1:5])
             seen = np.abs(S).sum(axis=1) > 0
             r, P, S, F, G = (part[seen] for part in (r, P, S, F, G))
-            reach = np.append(REACH, np.full(self.model.memories, MEMORY))
+            reach = np.append(REACH, np.full(memories, MEMORY))
             brake = np.diag(1 / reach)[:, free_start[k] > 0]
             q, t = np.linalg.qr(np.concatenate([S[:, free_start[k] > 0], brake]))
-            y = r + F @ self.local(force, k).reshape(-1)
+            y = r + F @ local[k].reshape(-1)
             whole = np.concatenate([y[:, None], F, G, P], axis=1)
             whole = np.concatenate([whole, np.zeros((len(brake), whole.shape[1]))])
             inside = q.T @ whole
@@ -171,11 +172,11 @@ class Drive(eqx.Module):
         values = [
             np.clip(d.moved(v, share * s), d.low, d.high) for v, s, d in zip(point.values, step, domains, strict=True)
         ]
-        start, free_start = point.start.copy(), np.asarray(self.batch.free_start)
+        start, free_start, local = point.start.copy(), np.asarray(self.batch.free_start), self.local(post.force)
         for k, window in enumerate(windows):
             t, y, columns = window.back
             unused = np.zeros(window.grip.shape[1])
-            left = y - columns @ np.concatenate([self.local(post.force, k).reshape(-1), unused, step])
+            left = y - columns @ np.concatenate([local[k].reshape(-1), unused, step])
             start[k, free_start[k] > 0] += share * np.linalg.lstsq(t, left, rcond=1e-12)[0]
         force = [share * new + (1 - share) * old for new, old in zip(post.force, point.force, strict=True)]
         return Point(np.array(values), start, tuple(force))

@@ -3,20 +3,26 @@ effects survive beside it.
 """
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from ._bench import LATERAL_SKID, NEARLY, Bench, Step
+from ._bench import LATERAL_SKID, NEARLY, WORKERS, Bench, Step
 from ._dependence import Shape, dependence
 from ._drive import Drive, Settled
 from ._estimates import Estimate
 from ._free_force import SPACING
 from ._least_squares import domains_of
 
-SURVIVES = 0.25
+SURVIVES, SWITCHES = 0.5, 0.15
 """A known effect survives beside a force of one cause where that force then leaves less than this share of what it left
-above the noise without the effect."""
+above the noise without the effect; a change of structure, which has no value that could be clear of zero, where less
+than that."""
+CLEARLY = 20.0
+"""An effect must be so many standard errors from neutral beside a free force: they hold for a force as smooth as the
+process says, and an effect that acts like a part of the force comes ten off."""
 LITTLE = 0.05
 """Where a force of one cause leaves no more than this above the noise, nothing else is looked for."""
 
@@ -93,7 +99,7 @@ def believed(
     part of what is missing; what a force of one cause leaves of the windows does.
     """
     found = [missing_force(bench, step, progress) for bench, step in structures]
-    if len(found) > 1 and _survives(found[1], found[0]):
+    if len(found) > 1 and _less(found[1], found[0], SWITCHES):
         found[1] = found[1]._replace(beside=(LATERAL_SKID,))
     for k, (bench, step) in enumerate(structures):
         if bench is last:
@@ -105,21 +111,26 @@ def _with_survivors(bench, step: Step, alone: Missing, helpers: Sequence[str], p
     """The force beside the `helpers` that survive there, one after the other."""
     now, rest = alone, list(helpers)
     while rest and now.left > 1 + LITTLE:
-        more = []
-        for name in rest:
-            progress(f"does {name} survive beside the missing force?")
-            effects = (*step.effects, *(n for n in now.beside if n != LATERAL_SKID), name)
-            more.append(missing_force(bench, Step(effects, step.optimum))._replace(beside=(*now.beside, name)))
-        best = min(more, key=lambda one: one.left)
-        if not _survives(best, now):
+        progress(f"does {' or '.join(rest)} survive beside the missing force?")
+        known = (*step.effects, *(name for name in now.beside if name != LATERAL_SKID))
+        steps = [Step((*known, name), step.optimum) for name in rest]
+        with ThreadPoolExecutor(WORKERS) as pool:
+            more = list(pool.map(partial(missing_force, bench), steps))
+        best = min(range(len(rest)), key=lambda k: more[k].left)
+        if not (_less(more[best], now, SURVIVES) and _clear(bench, rest[best], more[best])):
             break
-        now = best
-        rest.remove(best.beside[-1])
+        now = more[best]._replace(beside=(*now.beside, rest.pop(best)))
     return now
 
 
-def _survives(then: Missing, now: Missing) -> bool:
-    return then.left - 1 < SURVIVES * (now.left - 1)
+def _less(then: Missing, now: Missing, share: float) -> bool:
+    return then.left - 1 < share * (now.left - 1)
+
+
+def _clear(bench: Bench, effect: str, found: Missing) -> bool:
+    """Whether a parameter of `effect`, of which none is multiplicative, is far from neutral beside a free force."""
+    known = [(found.estimates[part], bench.study.values()[part]) for part in bench.candidates[effect]]
+    return any(abs(e.value - neutral) > CLEARLY * (e.sd or np.inf) for e, neutral in known)
 
 
 def _estimates(drive: Drive, now: Settled, misfit: float) -> dict[str, Estimate]:
