@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from small import small
 
-from snakejax._approach import unsound
+from snakejax._approach import followed, unsound
 from snakejax._board import TABLE_II, Board
 from snakejax._case import load_case
 from snakejax._errors import FitError, InputError
@@ -290,6 +290,16 @@ def test_derivatives_that_are_not_those_of_the_simulation_are_noticed() -> None:
     for wrong in (1e12 * J, 1e4 * J, -1e4 * J):
         other = optimum._replace(linearised=optimum.linearised._replace(jacobian=wrong))
         assert unsound(found.study, other, train) == "tyre.D"
+
+
+def test_a_fit_that_stops_on_its_way_is_followed(design) -> None:
+    """A valley that bends: neither three steps nor sixty get through it; followed, the fit ends no higher."""
+    study = design.recorded(design.poses(), 0)
+    away = study.values() | {"tyre.D": 0.5 * TRUTH["tyre.D"]}
+    short, whole = (study.fit(away, TYRE, RUNS, most=most) for most in (3, 60))
+    assert not short.converged and short.samples * (short.misfit - whole.misfit) > 10
+    found = followed(study, short, RUNS)
+    assert found.converged and found.samples * (found.misfit - whole.misfit) < 0.1
 
 
 ROLLING = (

@@ -18,6 +18,8 @@ WEAKER = 0.25
 HORIZONS = (1.5, 4.0)
 """The first seconds [s] on which a fit finds its way before it takes whole runs: errors have not grown there yet."""
 GOOD_START = 1.1
+ROUNDS, WORTHWHILE = 8, 0.5
+"""A fit that has not converged is taken up so many times, while that lowers chi^2 by more than this."""
 
 
 def approach(
@@ -81,6 +83,21 @@ def settled(windows: Windows, values: Mapping[str, float], free: Sequence[str]) 
     weaker = {n: v * WEAKER if n in free and n in ("tyre.D", "tyre.k_s") else v for n, v in values.items()}
     with ThreadPoolExecutor() as pool:
         return min(pool.map(lambda start: windows.settle(start, free), (values, weaker)), key=lambda s: s.cost)
+
+
+def followed(study: Study, optimum: Optimum, runs: Sequence[int], threshold: float = np.inf) -> Optimum:
+    """`optimum` taken up again until it converges, or gets no further: along a narrow valley that bends each step is
+    short, and a fit that stops on the way has errors that know nothing of the rest.
+    """
+    for _ in range(ROUNDS):
+        if optimum.converged:
+            break
+        further = study.fit(optimum.values, optimum.free, runs, optimum.start, threshold=threshold)
+        gained = optimum.samples * (optimum.misfit - further.misfit)
+        optimum = least(optimum, further)
+        if not gained > WORTHWHILE:
+            break
+    return optimum
 
 
 def least(*optima: Optimum) -> Optimum:

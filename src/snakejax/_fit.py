@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 import equinox as eqx
 import numpy as np
 
-from ._approach import approach, least, require_sound, shot, unsound
+from ._approach import approach, followed, least, require_sound, shot, unsound
 from ._errors import FitError, InputError
 from ._estimates import Estimate, advice, combined, estimated
 from ._misfit import RunScore, Score, pooled, run_scores
@@ -93,6 +93,8 @@ def fit_study(
     optimum = study.fit(best.values, free, train, best.start, threshold=threshold)
     if free and not (optimum.misfit < LACKING and optimum.converged):
         optimum = least(optimum, shot(study, free, train, threshold, progress))
+    if optimum.misfit < LACKING:
+        optimum = followed(study, optimum, train, threshold)
     for sharpened in range(SHARPENED + 1):
         wild = unsound(study, require_sound(study, optimum, train), train) if optimum.misfit < LACKING else None
         if wild is None:

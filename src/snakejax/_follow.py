@@ -6,11 +6,11 @@ import numpy as np
 
 from ._acceptance import better, by_chance, certain
 from ._accomplices import FAR, accomplices
-from ._approach import least
+from ._approach import followed, least
 from ._bench import CLOSE, HOPELESS, NEARLY, Bench, Step
 from ._misfit import only_noise
 from ._rank import Ranked, ends_in_noise, promising, rank, significant
-from ._refit import fresh_fit, refit
+from ._refit import CRAWL, fresh_fit, refit
 from ._stage import Stage, stage
 from ._study import Optimum
 
@@ -82,32 +82,38 @@ def _together(bench, step, ranking, progress) -> tuple[list[tuple[str, Step, tup
         refits,
         key=lambda r: (not only_noise(r.optimum), len(r.effects) if only_noise(r.optimum) else 0, r.optimum.misfit),
     )
+    if only_noise(best.optimum):
+        best = Step(best.effects, followed(bench.study, best.optimum, bench.train))
     if not better(bench, step, best):
         return [], hopeless(step)
-    path = []
+    path, before = [], step
     for count in range(len(step.effects) + 1, len(best.effects)):
         part = best.effects[:count]
-        path.append((part[-1], Step(part, refit(bench, part, best.optimum.values, near=False)), ()))
+        before = Step(part, _no_worse(bench, before, part, refit(bench, part, best.optimum.values, near=False)))
+        path.append((part[-1], before, ()))
     ranks = () if hopeless(best) else tuple(rank(bench, best, progress=progress))
     path.append((best.effects[-1], best, ranks))
     return path, hopeless(best)
 
 
+def _no_worse(bench: Bench, before: Step, effects: Sequence[str], found: Optimum) -> Optimum:
+    """The fit with `effects`, which hold those of `before`: as it was `found`, or from where that step ended."""
+    if found.misfit <= before.optimum.misfit:
+        return found
+    values = {n: bench.off_zero(n, v) if n in bench.free(effects) else v for n, v in before.optimum.values.items()}
+    return least(found, bench.study.fit(values, bench.free(effects), bench.train, before.optimum.start, crawl=CRAWL))
+
+
 def _settled_without(bench: Bench, step: Step, rest: Sequence[str]) -> Optimum:
     """The fit with the effects `rest` alone, from where that of `step` ended; taken up again where it is on its way."""
     found = refit(bench, rest, step.optimum.values, step.optimum.start)
-    return found if found.converged or not found.misfit < NEARLY else _further(bench, rest, found)
-
-
-def _further(bench: Bench, effects: Sequence[str], found: Optimum) -> Optimum:
-    """The fit with `effects`, taken up again where it was `found`."""
-    return least(found, bench.study.fit(found.values, bench.free(effects), bench.train, found.start))
+    return followed(bench.study, found, bench.train) if found.misfit < NEARLY else found
 
 
 def _polished(bench: Bench, step: Step, progress) -> Step:
     """`step`, or a better optimum of the same model where it ended near the noise but not in it, or on the way."""
-    if only_noise(step.optimum) and not step.optimum.converged:
-        step = Step(step.effects, _further(bench, step.effects, step.optimum))
+    if only_noise(step.optimum):
+        step = Step(step.effects, followed(bench.study, step.optimum, bench.train))
     if (only_noise(step.optimum) and step.optimum.converged) or not step.optimum.misfit < HOPELESS:
         return step
     again = fresh_fit(bench, step.effects, step.optimum.values, progress)

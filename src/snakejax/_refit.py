@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from ._approach import approach, least, require_sensitive, require_sound, settled
+from ._approach import approach, followed, least, require_sensitive, require_sound, settled
 from ._bench import CLOSE, HOPELESS, Bench
 from ._misfit import only_noise
 from ._study import Optimum
@@ -38,7 +38,8 @@ def fresh_fit(
     if (only_noise(found) and found.converged) or not found.misfit < HOPELESS:
         return found
     first = approach(study, values, free, train, progress)
-    return least(found, study.fit(first.values, free, train, first.start, crawl=CRAWL, most=30))
+    found = least(found, study.fit(first.values, free, train, first.start, crawl=CRAWL, most=30))
+    return followed(study, found, train) if only_noise(found) else found
 
 
 def refit(

@@ -6,7 +6,7 @@ import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from ._bench import LATERAL_SKID
+from ._bench import LATERAL_SKID, NEARLY
 from ._effect import Clock, Sensor
 from ._estimates import Estimate
 from ._explain import Explanation
@@ -58,6 +58,7 @@ def explanation_json(found: Explanation, provenance: Json, seconds: Json | None 
             "misfit": misfit_json(final.train, final.heldout),
             "rmse": rmse_json(final.train, final.heldout),
             "runs": runs_json(final.runs),
+            "converged": final.step.optimum.converged,
         },
         "unexplained": unexplained_json(found) if found.verdict == "unexplained" else None,
         "seconds": seconds,
@@ -175,6 +176,8 @@ def explanation_text(found: Explanation) -> RenderableType:
     for effect in found.partial if found.verdict == "unexplained" else found.effects:
         lines.append(Text(f"{effect}: {sentence(effect, found.final)} {_values(_of(effect, found.final))}"))
     lines += [Text(line) for line in _twins(found.base, found.effects)]
+    if found.verdict != "unexplained" and not found.final.step.optimum.converged:
+        lines.append(Text("! The last fit did not converge: its values are less sure than their errors say."))
     if found.missing is not None:
         lines += [Text(""), _dependence(found)]
     lines += [Text(""), _suspects(found.base)]
@@ -230,8 +233,7 @@ def _twins(stage: Stage, effects: Sequence[str]) -> Iterator[str]:
         if ranked.effect not in effects or len(group) < 2 or group in told:
             continue
         told.add(group)
-        *others, last = ranked.confusable_with
-        text = f"These runs cannot tell {ranked.effect} from {', '.join(others)}{' or ' if others else ''}{last}."
+        text = f"These runs cannot tell {ranked.effect} from {_list(ranked.confusable_with, 'or')}."
         faults = sorted(name for name in group if isinstance(known.get(name), Sensor | Clock))
         if faults and len(faults) < len(group):
             text += f" ({', '.join(faults)}: a fault of the measurement, not of the board.)"
@@ -248,8 +250,17 @@ def _of(effect: str, stage: Stage) -> Mapping[str, Estimate]:
 
 
 def _values(estimates: Mapping[str, Estimate]) -> str:
-    parts = [f"{name} = {number(e.value, e.sd)} +- {number(e.sd, e.sd)} {e.unit}" for name, e in estimates.items()]
+    parts = [f"{name} = {number(e.value, e.sd)} +- {number(e.sd, e.sd)}{_unit(e)}" for name, e in estimates.items()]
     return ", ".join(parts)
+
+
+def _unit(estimate: Estimate) -> str:
+    return "" if estimate.unit == "-" else f" {estimate.unit}"
+
+
+def _list(names: Sequence[str], word: str = "and") -> str:
+    *others, last = names
+    return f"{', '.join(others)} {word} {last}" if others else last
 
 
 def headline(found: Explanation) -> str:
@@ -260,25 +271,28 @@ def headline(found: Explanation) -> str:
     unseen = "" if final.heldout is None else f", on held-out runs {misfit_text(final.heldout.misfit)}"
     fall = f"the misfit falls from {misfit_text(base.train.misfit)} to {misfit_text(final.train.misfit)}{unseen}"
     if found.verdict == "explained":
-        return f"{found.case.name}: explained by {' and '.join(found.effects)}; {fall} (1 is noise)."
+        return f"{found.case.name}: explained by {_list(found.effects)}; {fall} (1 is noise)."
     lacking = "Nothing known leaves only noise."
     if found.effects:
-        lacking = f"{' and '.join(found.effects)}, and beside it a force that nothing known explains."
-    helped = f" {' and '.join(found.final.effects)} helped: {fall}." if found.final.effects else ""
+        lacking = f"Beside {_list(found.effects)} acts a force that nothing known explains."
+    helped = f" {_list(found.final.effects)} helped: {fall}." if found.final.effects else ""
     return f"{found.case.name}: unexplained. {lacking}{helped}"
 
 
 def _suspects(stage: Stage, most: int = 6, detectable: bool = False) -> RenderableType:
-    """The first `most` candidates; `detectable` adds the smallest values that these runs would reveal."""
-    titles = ("p", "predicts", "refit")
+    """The first `most` candidates; `detectable` adds the smallest values that these runs would reveal.
+
+    Near the noise the linear model predicts the misfit of whole runs, else what is left of short windows.
+    """
+    titles = ("p", "predicts" if stage.train.misfit < NEARLY else "on windows", "refit")
     table = plain_table("candidate", *titles, "expected", *["reveals"] * detectable, right=(*titles, "reveals"))
     for ranked in stage.ranking[:most]:
-        p_value = "" if ranked.score is None else f"{ranked.score.p_value:.1g}"
+        p_value = "" if ranked.score is None else f"{ranked.score.p_value:.1g}" if ranked.score.p_value else "< 1e-300"
         first = p_value, misfit_text(ranked.predicted_misfit), misfit_text(ranked.refit_misfit)
         smallest = {} if ranked.score is None else ranked.score.detectable
         rows = expected(ranked, stage) or {"": None}
         for place, (name, estimate) in enumerate(rows.items()):
-            words = "" if estimate is None else f"{estimate.value:.2g} +- {estimate.sd:.1g} {estimate.unit}"
+            words = "" if estimate is None else f"{estimate.value:.2g} +- {estimate.sd:.1g}{_unit(estimate)}"
             reveals = [f"{smallest[f'effects.{ranked.effect}.{name}']:.2g}" if name else ""] * detectable
             label = f"{ranked.effect}.{name}".rstrip(".")
             add_row(table, label, *(first if place == 0 else ("",) * 3), words, *reveals)
