@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from small import small
 
-from snakejax._approach import followed, unsound
+from snakejax._approach import arrived, followed, unsound
 from snakejax._board import TABLE_II, Board
 from snakejax._case import load_case
 from snakejax._errors import FitError, InputError
@@ -300,6 +300,8 @@ def test_a_fit_that_stops_on_its_way_is_followed(design) -> None:
     assert not short.converged and short.samples * (short.misfit - whole.misfit) > 10
     found = followed(study, short, RUNS)
     assert found.converged and found.samples * (found.misfit - whole.misfit) < 0.1
+    stopped = found._replace(converged=False)
+    assert arrived(study, stopped, RUNS) and not arrived(study, short, RUNS)
 
 
 ROLLING = (

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from ._errors import FitError
-from ._least_squares import domains_of
+from ._least_squares import domains_of, starts_removed
 from ._study import Optimum, Study
 from ._windows import LENGTH, Settled, Windows
 
@@ -98,6 +98,19 @@ def followed(study: Study, optimum: Optimum, runs: Sequence[int], threshold: flo
         if not gained > WORTHWHILE:
             break
     return optimum
+
+
+def arrived(study: Study, optimum: Optimum, runs: Sequence[int]) -> bool:
+    """Whether a fit has converged, or has stopped where a whole step promises less than 1 in chi^2, so that no value
+    would move by a standard error.
+    """
+    if optimum.converged:
+        return True
+    columns = [optimum.free.index(name) for name in optimum.loose]
+    free_start = np.asarray(study.batch.free_start)
+    parts = [starts_removed(optimum.linearised, k, study.width, free_start) for k in runs]
+    slope = sum((J[:, columns].T @ r for r, J in parts), np.zeros(len(columns)))
+    return bool(slope @ optimum.covariance @ slope < 1.0)
 
 
 def least(*optima: Optimum) -> Optimum:

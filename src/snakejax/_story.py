@@ -6,6 +6,7 @@ import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text
 
+from ._approach import arrived
 from ._bench import LATERAL_SKID, NEARLY
 from ._effect import Clock, Sensor
 from ._estimates import Estimate
@@ -58,7 +59,7 @@ def explanation_json(found: Explanation, provenance: Json, seconds: Json | None 
             "misfit": misfit_json(final.train, final.heldout),
             "rmse": rmse_json(final.train, final.heldout),
             "runs": runs_json(final.runs),
-            "converged": final.step.optimum.converged,
+            "converged": arrived(final.bench.study, final.step.optimum, final.bench.train),
         },
         "unexplained": unexplained_json(found) if found.verdict == "unexplained" else None,
         "seconds": seconds,
@@ -176,7 +177,8 @@ def explanation_text(found: Explanation) -> RenderableType:
     for effect in found.partial if found.verdict == "unexplained" else found.effects:
         lines.append(Text(f"{effect}: {sentence(effect, found.final)} {_values(_of(effect, found.final))}"))
     lines += [Text(line) for line in _twins(found.base, found.effects)]
-    if found.verdict != "unexplained" and not found.final.step.optimum.converged:
+    last = found.final
+    if found.verdict != "unexplained" and not arrived(last.bench.study, last.step.optimum, last.bench.train):
         lines.append(Text("! The last fit did not converge: its values are less sure than their errors say."))
     if found.missing is not None:
         lines += [Text(""), _dependence(found)]
