@@ -15,13 +15,13 @@ import hidden_effect
 import own_effect
 
 import snakejax as sj
-from snakejax import plot
-from snakejax._files import write_whole
-from snakejax._json import clean
-from snakejax._played import played_stages
-from snakejax._provenance import provenance_json
-from snakejax._story import explanation_json
-from snakejax.report import explanation_page
+from snakejax.core.files import write_whole
+from snakejax.present import plot
+from snakejax.present.as_json.explanation import explanation_json
+from snakejax.present.as_json.provenance import provenance_json
+from snakejax.present.as_json.values import clean
+from snakejax.present.report import explanation_page
+from snakejax.present.views import views_of_steps
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs" / "gallery"
 FILMED = "train-rotate-1"
@@ -30,7 +30,7 @@ FILMED = "train-rotate-1"
 def main(folder: Path = FOLDER) -> None:
     """Draw everything."""
     found = hidden_effect.main(folder)
-    models = played_stages(found)
+    models = views_of_steps(found)
     ends = [models[0], models[-1]]
     plot.save(plot.paths(ends), folder, "paths")
     plot.save(plot.tyre(ends), folder, "tyre")

@@ -1,4 +1,4 @@
-"""From the first misfit to the missing effect, on `data/tilted-floor`: a board that was recorded on a floor not level.
+"""From the first error to the missing effect, on `data/tilted-floor`: a board that was recorded on a floor not level.
 
     python fit/hidden_effect.py [FOLDER]
 
@@ -12,8 +12,9 @@ import snakejax as sj
 
 sj.prepare_jax()
 
-from snakejax import plot  # noqa: E402
 from snakejax.effects import LIBRARY  # noqa: E402
+from snakejax.present import plot  # noqa: E402
+from snakejax.present.as_text.errors import error_text  # noqa: E402
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 
@@ -39,10 +40,11 @@ def main(folder: Path) -> sj.Explanation:
     return found
 
 
-def tell(stage: sj.Stage) -> None:
+def tell(stage: sj.SelectionStep) -> None:
     """One line a step."""
-    held = "" if stage.heldout is None else f", held out {stage.heldout.misfit:.4g}"
-    print(f"{stage.change} {stage.name}: misfit {stage.train.misfit:.4g}{held}")
+    held = "" if stage.heldout is None else f", held out {error_text(stage.heldout)}"
+    doubt = "" if stage.converged else "; the fit did not converge"
+    print(f"{stage.change} {stage.name}: root mean square error {error_text(stage.train)}{held}{doubt}")
 
 
 if __name__ == "__main__":

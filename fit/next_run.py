@@ -20,14 +20,14 @@ import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
-from snakejax import plot  # noqa: E402
-from snakejax._files import write_whole  # noqa: E402
-from snakejax._json import as_text  # noqa: E402
-from snakejax._replay import replay  # noqa: E402
-from snakejax._study import Study  # noqa: E402
-from snakejax._units import with_parameters  # noqa: E402
-from snakejax._windows import linearised  # noqa: E402
+from snakejax.core.files import write_whole  # noqa: E402
+from snakejax.core.parameter import with_parameters  # noqa: E402
 from snakejax.effects import LIBRARY  # noqa: E402
+from snakejax.estimation.multiple_shooting import linearise_windows  # noqa: E402
+from snakejax.estimation.problem import Problem  # noqa: E402
+from snakejax.estimation.replay import replay  # noqa: E402
+from snakejax.present import plot  # noqa: E402
+from snakejax.present.as_json.values import as_text  # noqa: E402
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 PAIRS = (
@@ -47,7 +47,7 @@ class Proof(NamedTuple):
     recordings, from the given runs alone and with the designed ones.
     """
 
-    design: sj.Separation
+    design: sj.DiscriminationDesign
     runs: int
     given: float
     designed: float
@@ -61,10 +61,10 @@ def main(folder: Path, pairs=PAIRS, trials: int = 200, **how) -> list[Proof]:
     fit = sj.fit(sj.starting_model(case), case.runs, noise)
     proofs = []
     # All candidates in one model, so that all pairs share what is compiled.
-    known = sj.bed(fit, {name: LIBRARY[name]() for pair in pairs for name in pair})
-    driver = sj.Driver.of(case.runs[0].gait)
+    known = sj.prior_information(fit, {name: LIBRARY[name]() for pair in pairs for name in pair})
+    driver = sj.Controller.of(case.runs[0].gait)
     for pair in pairs:
-        design = sj.separate(
+        design = sj.design_discrimination(
             known, pair, sj.Limits.of(LIMITS), SECONDS, case.runs, driver=driver, given=_gaits(case), **how
         )
         proofs.append(proved(fit, known, design, trials))
@@ -78,21 +78,21 @@ def _gaits(case: sj.Case) -> list:
     return [run.gait for run in case.having("train")]
 
 
-def proved(fit: sj.Fit, known: sj.Bed, design: sj.Separation, trials: int) -> Proof:
+def proved(fit: sj.Fit, known: sj.PriorInformation, design: sj.DiscriminationDesign, trials: int) -> Proof:
     """The share of right answers of fits to recordings that are made up with either effect.
 
     The recordings are simulated, with all that is not linear in them. So near the base the fits are linear: one
     Gauss-Newton step from there, every start, the tyre and one effect free, its sign held.
     """
-    noise, count = fit.study.noise, max(design.repeats or 1, 1)
-    train = [run for run in fit.study.runs if run.role == "train"]
+    noise, count = fit.fitted.noise, max(design.repeats or 1, 1)
+    train = [run for run in fit.recordings if run.role == "train"]
     frames = jnp.asarray(np.arange(round(design.tuned.seconds * 100) + 1) / 100)
     blank = jnp.zeros((frames.size, 3))
     new = [sj.Run(f"designed-{k}", "train", frames, blank, design.tuned.after.gait) for k in range(count)]
     runs, starts = [*train, *new], np.zeros((len(train) + count, 3))
-    starts[: len(train)] = np.asarray(fit.optimum.start)[fit.study.numbered("train")][:, :3]
-    study = Study.of(known.model, runs, noise, known.names, len(known.names))
-    weight = np.asarray(study.batch.weight)
+    starts[: len(train)] = fit.fitted.starts[fit.fitted.numbered("train")][:, :3]
+    problem = Problem.of(known.model, runs, noise, known.names, len(known.names))
+    weight = np.asarray(problem.batch.weight)
 
     def whitened(poses) -> np.ndarray:
         whole = np.zeros_like(weight)
@@ -101,7 +101,7 @@ def proved(fit: sj.Fit, known: sj.Bed, design: sj.Separation, trials: int) -> Pr
         return whole * weight
 
     base = whitened(replay(known.model, runs, starts))
-    J = -linearised(study, study.values(), starts, range(len(runs))).jacobian
+    J = -linearise_windows(problem, problem.values(), starts, range(len(runs))).jacobian
     rng, right = np.random.default_rng(1), np.zeros(2)
     for truth in design.effects:
         part = {known.names[k]: design.strengths[known.names[k]] for k in known.places[truth]}
@@ -119,7 +119,7 @@ def proved(fit: sj.Fit, known: sj.Bed, design: sj.Separation, trials: int) -> Pr
 class _Left:
     """What a linear fit of the tyre, the starts and one effect leaves of the runs `seen`."""
 
-    def __init__(self, J: np.ndarray, seen, known: sj.Bed) -> None:
+    def __init__(self, J: np.ndarray, seen, known: sj.PriorInformation) -> None:
         names, rows = len(known.names), J[0, ..., 0].size
         starts = np.zeros((rows * len(seen), 3 * len(seen)))
         for place, k in enumerate(seen):

@@ -12,8 +12,9 @@ import snakejax as sj
 
 sj.prepare_jax()
 
-from snakejax import plot  # noqa: E402
 from snakejax.effects import LIBRARY  # noqa: E402
+from snakejax.present import plot  # noqa: E402
+from snakejax.present.as_text.errors import error_text  # noqa: E402
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 
@@ -27,7 +28,7 @@ def main(folder: Path) -> tuple[sj.Explanation, sj.Explanation]:
     # 1. No known effect explains the recording. The force that is missing is estimated instead, and what it depends on.
     before = sj.explain(case, noise, candidates)
     assert before.missing is not None
-    print(f"{before.verdict}, misfit {before.final.train.misfit:.4g}; the missing force depends on")
+    print(f"{before.verdict}, error {error_text(before.final.train)}; the missing force depends on")
     for variable, share in before.missing.depends_on[:3]:
         print(f"  {variable}: {100 * share:.0f} % of what is left")
     plot.save(plot.missing(before), folder, "missing")
@@ -35,7 +36,7 @@ def main(folder: Path) -> tuple[sj.Explanation, sj.Explanation]:
     # 2. That is a file to start from: a class of some 20 lines, its values those just found. Here it is used as it is.
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / "missing_force.py"
-    file.write_text(sj.starter(before.missing))
+    file.write_text(sj.effect_template(before.missing))
     print(file.read_text())
 
     # 3. It competes with those that had helped, and explains the recording.
@@ -44,7 +45,7 @@ def main(folder: Path) -> tuple[sj.Explanation, sj.Explanation]:
 
     rivals = {name: candidates[name] for name in before.partial}
     after = sj.explain(case, noise, {**rivals, "missing_force": MissingForce()})
-    print(f"{after.verdict}: {', '.join(after.effects)}, misfit {after.final.train.misfit:.4g}")
+    print(f"{after.verdict}: {', '.join(after.effects)}, error {error_text(after.final.train)}")
     for name, estimate in after.final.estimates.items():
         print(f"  {name} = {estimate.value:.5g} +- {estimate.sd:.2g} {estimate.unit}")
     plot.save(plot.fall(after), folder, "own_fall")

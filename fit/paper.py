@@ -18,7 +18,7 @@ sj.prepare_jax()
 import numpy as np  # noqa: E402
 from claims.claim import Claim  # noqa: E402
 from claims.gaits import driving, turning  # noqa: E402
-from claims.loads import loaded  # noqa: E402
+from claims.loads import with_payload  # noqa: E402
 from claims.polynomial import polynomials  # noqa: E402
 from claims.recordings import recorded  # noqa: E402
 
@@ -32,7 +32,7 @@ TEXT = """# The paper's claims
 *Made by `fit/paper.py`; nothing here is typed by hand.*
 
 The paper is Salman, Dear, Babikian, Shammas, Choset, *A physical parameter-based skidding model for the snakeboard*,
-CDC 2016. Its printed equations are inert (see `Printed` in `snakejax._skid`), so the numbers are those of the closure
+CDC 2016. Its printed equations are inert (see `sj.vehicles.Printed`), so the numbers are those of the closure
 that reproduces its rotate result, structure `coupled`, at rest at the start and with its controller; `free` is Newton's
 law. Table II's inertias add to 0.4358 kg m^2; the paper's assumption I = m L^2 = 0.4375 kg m^2 is used. Its recordings
 are not public, so that nobody can replay its Figs. 11 and 12 against the original data.
@@ -67,7 +67,7 @@ The paper did not publish this.
 
 ## Longitudinal slip on recordings (P10)
 
-Misfit of the train runs, in units of the noise variance; 1 is noise.
+Root mean square error of the train runs in multiples of the noise; 1 is noise. The misfit is its square.
 
 {recordings}
 """
@@ -79,7 +79,8 @@ def main(folder: Path, recordings: list[Path]) -> list[Claim]:
     curve, table = polynomials(folder, D)
     seen, beside = recorded(folder, recordings)
     claims = sorted(
-        [*turning(folder), *driving(), *loaded(folder, LOADS, CAMBERS), *curve, *seen], key=lambda c: int(c.number[1:])
+        [*turning(folder), *driving(), *with_payload(folder, LOADS, CAMBERS), *curve, *seen],
+        key=lambda c: int(c.number[1:]),
     )
     rows = ["| | claim | our number | | criterion, and why |", "|---|---|---|---|---|"]
     rows += [f"| {c.number} | {c.claim} | {c.ours} | **{c.verdict}** | {c.why} |" for c in claims]

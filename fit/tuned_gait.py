@@ -17,10 +17,11 @@ sj.prepare_jax()
 
 import numpy as np  # noqa: E402
 
-from snakejax import plot  # noqa: E402
-from snakejax._files import write_whole  # noqa: E402
-from snakejax._json import as_text  # noqa: E402
-from snakejax._tuned import tuned_json  # noqa: E402
+from snakejax.core.files import write_whole  # noqa: E402
+from snakejax.present import plot  # noqa: E402
+from snakejax.present.as_json.design import tuned_json  # noqa: E402
+from snakejax.present.as_json.values import as_text  # noqa: E402
+from snakejax.present.as_text.errors import missed_text  # noqa: E402
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 LIMITS = {"phi": 0.916, "psi": 1.57, "phi_rate": 3.664, "psi_rate": 6.28}
@@ -34,9 +35,9 @@ class Gaits(NamedTuple):
     distance [m] that the tyre of Table II would give if it pushed as hard as it can all the time.
     """
 
-    distance: sj.Tuned
-    reach: sj.Tuned
-    table_ii: sj.Tuned
+    distance: sj.TuningResult
+    reach: sj.TuningResult
+    table_ii: sj.TuningResult
     paper: tuple[float, float]
     bound: float
 
@@ -47,7 +48,7 @@ def main(folder: Path, **how) -> Gaits:
     board = sj.fit(sj.starting_model(case), case.runs, sj.noise_of(case)).model
     example = sj.preset("paper-forward")
     forward, limits = example.gait, sj.Limits.of(LIMITS)
-    how = {"driver": sj.Driver.of(forward), "given": [forward], **how}
+    how = {"driver": sj.Controller.of(forward), "given": [forward], **how}
 
     far = sj.tune(board, sj.Distance(), limits, 8.0, **how)
     there = sj.tune(board, sj.Reach(*POSE), limits, 20.0, **how)
@@ -78,12 +79,10 @@ def tell(found: Gaits) -> None:
     far, weak = found.distance.after.result, found.table_ii.after.result
     print(f"level-board, 8 s: {far:.3f} m, the paper's forward gait {found.paper[0]:.3f} m")
     print(f"  {100 * (far / found.paper[0] - 1):.0f} % further, within the limits of its commands")
-    miss = found.reach.after.result
-    print(f"level-board, 20 s, pose {POSE}: missed by {1e3 * miss['position_error_m']:.2g} mm and", end=" ")
-    print(f"{np.rad2deg(miss['heading_error_rad']):.2g} degrees")
+    print(f"level-board, 20 s, pose {POSE}: missed by {missed_text(found.reach.after.result)}")
     print(f"Table II, 8 s: {weak:.3f} m, the paper's forward gait {found.paper[1]:.3f} m; at most {found.bound:.2f} m")
     for name, tuned in found._asdict().items():
-        if isinstance(tuned, sj.Tuned):
+        if isinstance(tuned, sj.TuningResult):
             print(f"{name}: {tuned.simulations} simulations, {tuned.slopes} with derivative; {tuned.terms()}")
 
 

@@ -1,23 +1,31 @@
 """What every test takes for granted: double precision, and no silent change of type or of rank."""
 
-import importlib.util
 import os
 import shutil
 from pathlib import Path
 
 import jax
 import pytest
+from helpers.browser import BROWSERS
+from helpers.folders import beside
+from helpers.studies import study
 
 from snakejax import prepare_jax
-
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
 prepare_jax()
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 
-LONGEST = ("test_studies", "test_cli", "test_discriminate", "test_logs", "test_draws", "test_tune", "test_sweep")
+LONGEST = (
+    "test_studies",
+    "test_commands",
+    "test_discrimination",
+    "test_joint_logs",
+    "test_tuning_over_draws",
+    "test_tuning",
+    "test_rayleigh_match",
+)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -47,16 +55,6 @@ def browser():
         launched.close()
 
 
-def study(name: str):
-    """The module of one study of `fit/`."""
-    path = Path(__file__).resolve().parents[1] / "fit" / f"{name}.py"
-    description = importlib.util.spec_from_file_location(f"study_{name}", path)
-    assert description is not None and description.loader is not None
-    module = importlib.util.module_from_spec(description)
-    description.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture(scope="session")
 def study_folder(tmp_path_factory) -> Path:
     """Where the studies write."""
@@ -79,11 +77,3 @@ def own_effect(study_folder):
 def realdata() -> Path:
     """The folder of real motion-capture exports."""
     return beside("realdata")
-
-
-def beside(name: str) -> Path:
-    """A folder that lies beside the repository and does not travel with it."""
-    folder = Path(__file__).resolve().parents[2] / "shared" / name
-    if not folder.is_dir():
-        pytest.skip(f"The data are not here: they belong in ../shared/{name}.")
-    return folder

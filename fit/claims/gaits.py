@@ -22,7 +22,7 @@ def turning(folder: Path) -> list[Claim]:
     free = [poses([board(example, tyre, "free")], example)[0, -1, 2] for tyre in (None, sj.Rayleigh(9.0))]
     exact = sj.Gait(example.gait.phi.command, example.gait.psi.command)
     tracked = poses([board(example)], example, exact)[0, -1, 2]
-    ideal = poses([board(example, skid="ideal")], example)[0]
+    ideal = poses([board(example, constraint="ideal")], example)[0]
     nine = rayleigh[K_S.index(9.0)]
     figure = Figure(figsize=(6.4, 4.0), layout="constrained")
     axis = figure.subplots()
@@ -77,7 +77,7 @@ def driving() -> list[Claim]:
     for example in (forward, rotate):
         sixty, ideal = (
             poses([board(example, sj.Rayleigh(60.0))], example)[0],
-            poses([board(example, skid="ideal")], example)[0],
+            poses([board(example, constraint="ideal")], example)[0],
         )
         ends[example.name] = (sixty[-1], ideal[-1])
     gone = [float(np.hypot(*pose[:2])) for pose in ends["paper-forward"]]

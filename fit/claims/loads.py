@@ -8,10 +8,10 @@ from matplotlib.figure import Figure
 import snakejax as sj
 
 from .claim import Claim, keep, verdict
-from .example import SKIDS, board, mass, poses, times
+from .example import STRUCTURES, board, mass, poses, times
 
 
-def loaded(folder: Path, loads: np.ndarray, cambers: np.ndarray) -> list[Claim]:
+def with_payload(folder: Path, loads: np.ndarray, cambers: np.ndarray) -> list[Claim]:
     """P6, P7, P9, P14: Table I's gaits with Bakker's tyre; P9 at each of `loads` [N] and `cambers` [rad]."""
     rows = []
     matched = {}
@@ -55,12 +55,12 @@ def loaded(folder: Path, loads: np.ndarray, cambers: np.ndarray) -> list[Claim]:
     missing = {}
     for name in ("paper-gait1", "paper-gait2"):
         example = sj.preset(name)
-        for skid in SKIDS:
+        for constraint in STRUCTURES:
             over = sj.grid({"tyre.load": loads, "tyre.camber": cambers})
             over = over.moving("board.mass", 2 * over.columns["tyre.load"] / 9.81)
-            model = sj.Model(example.model.board, example.model.tyre, skid)
+            model = sj.Model(example.model.board, example.model.tyre, constraint)
             found = sj.nearest_rayleigh(model, example.gait, times(example), over)
-            missing[name, skid] = found
+            missing[name, constraint] = found
     maps(missing, folder)
     none = {key: int(np.isnan(found.k_s).sum()) for key, found in missing.items()}
     worst = {key: float(found.mismatch.max()) for key, found in missing.items()}
@@ -70,8 +70,8 @@ def loaded(folder: Path, loads: np.ndarray, cambers: np.ndarray) -> list[Claim]:
             "P9",
             "Some loads cannot be reproduced by any k_s",
             "; ".join(
-                f"{name[6:]} `{skid}`: {none[name, skid]} of {count}, worst {100 * worst[name, skid]:.0f} %"
-                for name, skid in missing
+                f"{name[6:]} `{kind}`: {none[name, kind]} of {count}, worst {100 * worst[name, kind]:.0f} %"
+                for name, kind in missing
             ),
             verdict(sum(none.values()) > 0),
             f"loads of {loads[0]:g} to {loads[-1]:g} N and cambers of 0 to {cambers[-1]:g} rad where no Rayleigh board"
@@ -122,11 +122,11 @@ def untuned(first: list[tuple[float, float]]) -> list[float]:
 def maps(found: dict, folder: Path) -> None:
     figure = Figure(figsize=(9.0, 6.4), layout="constrained")
     axes = figure.subplots(2, 2, sharex=True, sharey=True)
-    for axis, ((name, skid), sweep) in zip(axes.ravel(), found.items(), strict=True):
+    for axis, ((name, constraint), sweep) in zip(axes.ravel(), found.items(), strict=True):
         loads, cambers = sweep["tyre.load"], sweep["tyre.camber"]
         drawn = axis.pcolormesh(loads, cambers, 100 * sweep.mismatch.T, shading="nearest", vmin=0, vmax=20)
         blank = np.argwhere(np.isnan(sweep.k_s.values))
         axis.plot(loads[blank[:, 0]], cambers[blank[:, 1]], "wx", ms=5)
-        axis.set(title=f"{name}, {skid}", xlabel="load [N]", ylabel="camber [rad]")
+        axis.set(title=f"{name}, {constraint}", xlabel="load [N]", ylabel="camber [rad]")
     figure.colorbar(drawn, ax=axes, label="rms distance [% of the path]; x: no $k_s$ fits")
     keep(figure, folder, "loads")

@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 
 import snakejax as sj
-from snakejax import plot
 from snakejax.effects import LongitudinalSlip
+from snakejax.present import plot
+from snakejax.present.as_text.errors import three_digits, times_noise, times_noise_text
 
 from .claim import Claim, keep, verdict
 
@@ -21,7 +22,7 @@ def recorded(folder: Path, recordings: list[Path]) -> tuple[list[Claim], str]:
         case = sj.load_case(place)
         noise = sj.noise_of(case)
         forward = [run for run in case.having("train") if "forward" in run.name]
-        beaten.append(sj.fit(sj.starting_model(case, "rayleigh"), forward, noise).train_score.misfit)
+        beaten.append(times_noise(sj.fit(sj.starting_model(case, "rayleigh"), forward, noise).train_score.misfit))
         fits = {
             "rayleigh": sj.fit(sj.starting_model(case, "rayleigh"), case.runs, noise),
             "pacejka": sj.fit(sj.starting_model(case), case.runs, noise),
@@ -34,10 +35,10 @@ def recorded(folder: Path, recordings: list[Path]) -> tuple[list[Claim], str]:
             excess = {what: misfit(fit, gait) for what, fit in fits.items()}
             gain = (excess["pacejka"] - excess["slip"]) / excess["pacejka"]
             gains[gait].append(gain)
-            shown = " | ".join(f"{excess[what]:.4g}" for what in fits)
+            shown = " | ".join(f"{times_noise_text(excess[what])}" for what in fits)
             lines.append(f"| {case.name} | {gait} | {shown} | {100 * gain:+.1f} % |")
     head = [
-        "| recording | gait | Rayleigh | Pacejka | with longitudinal slip | lowered by |",
+        "| recording | gait | Rayleigh | Pacejka | with longitudinal slip | misfit lowered by |",
         "|---|---|---|---|---|---|",
     ]
     more = sum(f > r + CLEARLY for f, r in zip(gains["forward"], gains["rotate"], strict=True))
@@ -51,8 +52,8 @@ def recorded(folder: Path, recordings: list[Path]) -> tuple[list[Claim], str]:
         ),
         Claim(
             "P13", "No k_s matches the forward recording",
-            f"misfit of the forward runs at the k_s that is best for them: {min(beaten):.3g} to {max(beaten):.3g} times"
-            " the noise",
+            f"error of the forward runs at the k_s that is best for them: {three_digits(min(beaten))} to"
+            f" {three_digits(max(beaten))} times the noise",
             verdict(min(beaten) > 2), "above twice the noise. The paper's own is not public: nobody can replay it",
         ),
     ]  # fmt: skip

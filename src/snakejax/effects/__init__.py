@@ -1,17 +1,18 @@
-"""The library of effects a diagnosis knows by name."""
+"""Library of physical effects, by name."""
 
 from collections import OrderedDict
 
-from .._effect import Effect
-from .actuators import RotorGain as RotorGain
-from .actuators import RotorLag as RotorLag
-from .actuators import SteeringBacklash as SteeringBacklash
-from .actuators import SteeringCrab as SteeringCrab
-from .actuators import SteeringGain as SteeringGain
-from .actuators import SteeringLag as SteeringLag
-from .actuators import SteeringOffset as SteeringOffset
+from snakejax.dynamics.ports import Effect
+
 from .ground import ComOffset as ComOffset
 from .ground import GroundSlope as GroundSlope
+from .inputs import RotorGain as RotorGain
+from .inputs import RotorLag as RotorLag
+from .inputs import SteeringBacklash as SteeringBacklash
+from .inputs import SteeringCrab as SteeringCrab
+from .inputs import SteeringGain as SteeringGain
+from .inputs import SteeringLag as SteeringLag
+from .inputs import SteeringOffset as SteeringOffset
 from .resistance import BodyDrag as BodyDrag
 from .resistance import LongitudinalSlip as LongitudinalSlip
 from .resistance import QuadraticDrag as QuadraticDrag
@@ -54,4 +55,4 @@ LIBRARY: OrderedDict[str, type[Effect]] = OrderedDict(
     heading_offset=HeadingOffset,
     clock_offset=ClockOffset,
 )
-"""Every built-in effect; `lateral_skid`, the change of structure from `coupled` to `free`, is a switch beside them."""
+"""All effects; `lateral_skid`, the change of structure from `coupled` to `free`, is a switch."""

@@ -1,25 +1,24 @@
-"""What lies under the board, and where the board's weight lies over it."""
+"""Slope of the ground, and position of the centre of mass."""
 
 from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax.numpy as jnp
 
-from .._board import Board
-from .._effect import Force, Layout, Motion, Wrench
-from .._skid import Coupled, Printed
-from .._units import Scalar, param
+from snakejax.core.parameter import Scalar, param
+from snakejax.dynamics.constants import GRAVITY
+from snakejax.dynamics.contact import Motion, Wrench
+from snakejax.dynamics.ports import Force, Geometry
+from snakejax.dynamics.vehicle import AbstractVehicle
 
 if TYPE_CHECKING:
-    from .._model import Model
-
-GRAVITY = 9.81
+    from snakejax.dynamics.model import Model
 
 
 class GroundSlope(Force):
-    """World-frame force -m g (sx, sy) at the centre of mass; positive is uphill along the axis."""
+    """Force -m g (sx, sy) in the world frame at the centre of mass; a positive slope rises along the axis."""
 
-    sentence = "The floor is not level."
+    description = "The ground is not level."
     sx: Scalar = param("rad", default=0.0)
     sy: Scalar = param("rad", default=0.0)
 
@@ -29,16 +28,16 @@ class GroundSlope(Force):
         return X, Y, jnp.zeros_like(X)
 
 
-class ComOffset(Layout):
-    """The centre of mass, which x and y track, lies a ahead of the middle: wheelsets at L - a and -(L + a)."""
+class ComOffset(Geometry):
+    """The centre of mass, the point (x, y), is a [m] ahead of the middle: wheelsets at L - a and -(L + a)."""
 
-    sentence = "The centre of mass is not in the middle between the wheelsets."
+    description = "The centre of mass is not in the middle between the wheelsets."
     a: Scalar = param("m", default=0.0)
 
-    def board(self, board: Board) -> Board:
+    def board(self, board: AbstractVehicle) -> AbstractVehicle:
         return eqx.tree_at(lambda b: b.offset, board, board.offset + self.a)
 
-    def refusal(self, model: "Model") -> str | None:
-        if isinstance(model.skid, Coupled | Printed):
+    def inapplicable_because(self, model: "Model") -> str | None:
+        if not model.constraint.allows_offset:
             return "the coupled structure has its wheelsets at +L and -L; use skid `free` for an offset."
         return None

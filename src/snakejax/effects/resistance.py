@@ -1,16 +1,17 @@
-"""What resists motion along, across and about the board."""
+"""Resistance to rolling, translation and yaw."""
 
 import jax.numpy as jnp
 
-from .._effect import Force, Motion, Rolling, Wheel, Wrench
-from .._math import safe_norm
-from .._units import Scalar, param
+from snakejax.core.fast_math import safe_norm
+from snakejax.core.parameter import Scalar, param
+from snakejax.dynamics.contact import Motion, Wheel, Wrench
+from snakejax.dynamics.ports import Force, RollingForce
 
 
-class LongitudinalSlip(Rolling):
-    """T_i = k a_i: the wheels slip along their rolling direction (the paper's hypothesis for its forward gait)."""
+class LongitudinalSlip(RollingForce):
+    """T_i = k a_i: the wheels slip along their rolling direction (hypothesis of Salman et al. 2016, forward gait)."""
 
-    sentence = "The wheels lose drive by slipping along their rolling direction, in proportion to speed."
+    description = "The wheels lose drive by slipping along their rolling direction, in proportion to speed."
     k: Scalar = param("N s/m", low=0.0, default=0.0)
 
     def resistance(self, wheel: Wheel, motion: Motion) -> Scalar:
@@ -18,10 +19,10 @@ class LongitudinalSlip(Rolling):
         return self.k * wheel.rolling
 
 
-class RollingResistance(Rolling):
-    """T_i = f tanh(a_i / 5 mm/s): nearly constant, always against the rolling."""
+class RollingResistance(RollingForce):
+    """T_i = f tanh(a_i / 5 mm/s): Coulomb friction, smoothed below 5 mm/s so that it can be integrated."""
 
-    sentence = "Each wheelset resists rolling with a constant force."
+    description = "Each wheelset resists rolling with a constant force."
     f: Scalar = param("N", low=0.0, default=0.0)
 
     def resistance(self, wheel: Wheel, motion: Motion) -> Scalar:
@@ -30,9 +31,9 @@ class RollingResistance(Rolling):
 
 
 class BodyDrag(Force):
-    """(X, Y) -= c (u, w)."""
+    """(X, Y) -= c (u, w): linear drag of the body."""
 
-    sentence = "The body drags in proportion to speed: casters, a trailing cable."
+    description = "The body drags in proportion to speed: casters, a trailing cable."
     c: Scalar = param("N s/m", low=0.0, default=0.0)
 
     def wrench(self, motion: Motion) -> Wrench:
@@ -40,9 +41,9 @@ class BodyDrag(Force):
 
 
 class QuadraticDrag(Force):
-    """(X, Y) -= c |(u, w)| (u, w)."""
+    """(X, Y) -= c |(u, w)| (u, w): quadratic drag of the body."""
 
-    sentence = "The body drags with the square of speed, as in air."
+    description = "The body drags with the square of speed, as in air."
     c: Scalar = param("N s^2/m^2", low=0.0, default=0.0)
 
     def wrench(self, motion: Motion) -> Wrench:
@@ -51,9 +52,9 @@ class QuadraticDrag(Force):
 
 
 class YawDamping(Force):
-    """N -= c r."""
+    """N -= c r: linear damping of the yaw rate."""
 
-    sentence = "Turning is damped in proportion to the yaw rate."
+    description = "Turning is damped in proportion to the yaw rate."
     c: Scalar = param("N m s", low=0.0, default=0.0)
 
     def wrench(self, motion: Motion) -> Wrench:
@@ -62,9 +63,9 @@ class YawDamping(Force):
 
 
 class YawFriction(Force):
-    """N -= t tanh(r / 0.02 rad/s)."""
+    """N -= t tanh(r / 0.02 rad/s): Coulomb friction in yaw, smoothed below 0.02 rad/s so that it can be integrated."""
 
-    sentence = "Turning is resisted by a constant moment: casters scrub."
+    description = "Turning is resisted by a constant moment: casters scrub."
     t: Scalar = param("N m", low=0.0, default=0.0)
 
     def wrench(self, motion: Motion) -> Wrench:
@@ -73,9 +74,9 @@ class YawFriction(Force):
 
 
 class YawBias(Force):
-    """N += t."""
+    """N += t: constant yaw moment."""
 
-    sentence = "A constant moment turns the board: a twisted cable, a rotor drive that leans on the body."
+    description = "A constant moment turns the board: a twisted cable, a rotor drive that leans on the body."
     t: Scalar = param("N m", default=0.0)
 
     def wrench(self, motion: Motion) -> Wrench:

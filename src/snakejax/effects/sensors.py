@@ -1,16 +1,16 @@
-"""What motion capture may report wrongly."""
+"""Systematic errors of motion capture: marker offset, heading offset and clock offset."""
 
 from typing import ClassVar
 
-from .._effect import Clock, Sensor
-from .._math import sine_cosine
-from .._units import Scalar, param
+from snakejax.core.fast_math import sine_cosine
+from snakejax.core.parameter import Scalar, param
+from snakejax.dynamics.ports import Delay, Sensor
 
 
 class MarkerOffset(Sensor):
-    """The tracked point is (x, y) + R(heading) (mx, my)."""
+    """Reported position = (x, y) + R(heading) (mx, my), with R the rotation by the heading."""
 
-    sentence = "Motion capture tracks a point beside the centre of mass."
+    description = "Motion capture tracks a point beside the centre of mass."
     mx: Scalar = param("m", default=0.0)
     my: Scalar = param("m", default=0.0)
 
@@ -20,9 +20,9 @@ class MarkerOffset(Sensor):
 
 
 class HeadingOffset(Sensor):
-    """h is added to the reported heading, after the marker's rotation."""
+    """Reported heading = heading + h, applied after the marker offset."""
 
-    sentence = "Motion capture's body axis is turned against the board's."
+    description = "Motion capture's body axis is turned against the board's."
     stage: ClassVar[int] = 1
     h: Scalar = param("rad", default=0.0)
 
@@ -30,10 +30,10 @@ class HeadingOffset(Sensor):
         return x, y, heading + self.h
 
 
-class ClockOffset(Clock):
-    """The pose reported at t is that of command time t - T; the board rests before 0."""
+class ClockOffset(Delay):
+    """The pose reported at t is that of command time t - T; the board is at rest before 0."""
 
-    sentence = "The clocks of motion capture and of the commands do not agree."
+    description = "The clocks of motion capture and of the commands do not agree."
     T: Scalar = param("s", default=0.0)
 
     def delay(self) -> Scalar:

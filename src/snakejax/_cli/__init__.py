@@ -1,3 +1,0 @@
-"""The command line: one module a command, each with `add` (its options) and `run` (what it does)."""
-
-from ._main import main as main

@@ -1,0 +1,163 @@
+"""`snakejax tune --objective separate` and `information`: the design of the next run."""
+
+import argparse
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from snakejax.core.errors import InputError, instead_of
+from snakejax.core.progress import Phase, Progress, ProgressEvent
+
+from .fit_pipeline import fitted
+from .gait_options import GaitRequest, carried, gaits_of, payload_json
+from .gait_output import GaitOutput, gait_outcome
+from .options import EffectSpec, effect_spec, finite, given
+from .pipeline import Outcome, Stopwatch
+
+if TYPE_CHECKING:
+    from snakejax.design.experiments import DiscriminationDesign, PrecisionDesign
+    from snakejax.design.fisher_information import PriorInformation
+    from snakejax.design.limits import Limits
+    from snakejax.dynamics.ports import Effect
+    from snakejax.recording.run import Run
+
+
+WHERE = "option --objective"
+
+
+def effects_of(text: str) -> tuple[tuple[str, str] | None, dict[str, float]]:
+    """The two effects of `separate:A,B` and the strengths of `separate:A=0.1,B=0.2`; None for `separate` alone.
+
+    **Raises:** `InputError`.
+    """
+    kind, _, rest = text.partition(":")
+    if kind == "information" or not rest:
+        if text not in ("separate", "information"):
+            raise InputError(f"There is no objective `{text}`", WHERE, "write separate:EFFECT,EFFECT or information")
+        return None, {}
+    parts = [part.partition("=") for part in rest.split(",")]
+    if len(parts) != 2 or not all(name.strip() for name, _, _ in parts):
+        raise InputError(f"`{text}` does not name two effects", WHERE, "write separate:body_drag,longitudinal_slip")
+    strengths = {name.strip(): finite(value, WHERE, f"`{text}`") for name, sign, value in parts if sign}
+    return (parts[0][0].strip(), parts[1][0].strip()), strengths
+
+
+def work(options: argparse.Namespace, case: Any, request: GaitRequest, say: Progress) -> Outcome:
+    """Design the next run of one case."""
+    from snakejax.design.fisher_information import prior_information, require_strengths
+    from snakejax.design.limits import Limits, reached_by
+    from snakejax.design.rollouts import Controller
+    from snakejax.present.as_json.provenance import heading_json, provenance_json
+    from snakejax.vehicles.snakeboard.paper_examples import Preset
+
+    effects, strengths = effects_of(options.objective)
+    if isinstance(case, Preset) or options.set or options.saved:
+        what = "The next run is designed from the recorded runs of a case"
+        raise InputError(what, WHERE, "name a recorded case, without --set and --from")
+    require_strengths(effects or ())
+    effects_by_name, fixed, fit_options = candidates(options, effects)
+    clock = Stopwatch()
+    gaits, length = gaits_of(case)
+    fit, noise = fitted(fit_options, case, say)
+    limits = Limits.of(request.limit, reached_by(gaits, fit.model, length) if gaits else None)
+    payload, with_payload = carried(request.payload, case)
+    say(ProgressEvent(Phase.PRIOR_INFORMATION))
+    information = prior_information(fit, effects_by_name, fixed)
+    how = {
+        "driver": Controller.of(gaits[0]) if gaits else Controller(),
+        "given": [gait for gait in gaits if gait.phi_back is None],
+        "start": request.start,
+        "payload": payload,
+        "seed": options.seed,
+        "rate": frame_rate(case.runs[0]),
+        "progress": say,
+    }
+    seconds = length if request.seconds is None else request.seconds
+    design = _designed(options.objective, information, effects, strengths, limits, seconds, case.runs, how)
+    heading = heading_json(case.name, fit.model, noise, provenance_json(options.seed, given(options), case.sha256))
+    output = _output(options.objective, case.name, design, heading, (payload, with_payload))
+    return gait_outcome(options, case.name, output, clock, say)
+
+
+def _designed(
+    objective: str,
+    information: "PriorInformation",
+    effects: tuple[str, str] | None,
+    strengths: Mapping[str, float],
+    limits: "Limits",
+    seconds: float,
+    runs: "Sequence[Run]",
+    how: Mapping[str, Any],
+) -> "DiscriminationDesign | PrecisionDesign":
+    """The designed run; without `effects`, for the most confusable pair. **Raises:** `FitError` where none is found."""
+    from snakejax.core.errors import FitError
+    from snakejax.design.experiments import design_discrimination, design_precision
+    from snakejax.design.fisher_information import most_confusable
+
+    try:
+        if objective == "information":
+            return design_precision(information, limits, seconds, **how)
+        pair = most_confusable(information) if effects is None else effects
+        return design_discrimination(information, pair, limits, seconds, runs, strengths=strengths, **how)
+    except FitError:
+        raise
+    except RuntimeError as error:
+        raise FitError(str(error)) from None
+
+
+def _output(
+    objective: str,
+    name: str,
+    design: "DiscriminationDesign | PrecisionDesign",
+    heading: dict[str, Any],
+    payload: tuple[tuple[float, float], str],
+) -> GaitOutput:
+    """What is delivered of the design; `payload` with the words that describe it."""
+    from snakejax.design.experiments import PrecisionDesign
+    from snakejax.present.as_json.design import separation_json, sharpening_json
+    from snakejax.present.as_text.design import separation_report, sharpening_report
+
+    if isinstance(design, PrecisionDesign):
+        parts, text = sharpening_json(design, objective), sharpening_report(name, design, payload[1])
+    else:
+        parts, text = separation_json(design, objective), separation_report(name, design, payload[1])
+    return GaitOutput(design.tuned, {**heading, **parts, **payload_json(payload[0])}, text, "designed")
+
+
+def candidates(
+    options: argparse.Namespace, effects: tuple[str, str] | None
+) -> "tuple[dict[str, Effect], set[str], argparse.Namespace]":
+    """The effects to distinguish, the names of their fixed parameters, and the options of the fitted model.
+
+    An `--effect` of the pair is a candidate whose given values are fixed; any other belongs to the fitted model.
+    **Raises:** `InputError` where an effect is unknown, given twice, or has no free parameter.
+    """
+    from snakejax.core.parameter import parameters
+    from snakejax.effects import LIBRARY
+
+    from .model_options import built, effect_class
+
+    if effects is None:
+        library = {} if options.objective == "information" else {name: kind() for name, kind in LIBRARY.items()}
+        return library, set(), options
+    texts = {text: effect_spec(text) for text in options.effect or ()}
+    own = {spec.name: spec for spec in texts.values() if spec.name in effects}
+    if len({spec.name for spec in texts.values()}) < len(options.effect or ()):
+        raise InputError("An effect is given twice", "option --effect", "give each once")
+    effects_by_name, held = {}, set()
+    for name in effects:
+        if name not in own and name not in LIBRARY:
+            known = [*LIBRARY, *(spec.name for spec in texts.values())]
+            remedy = f"{instead_of(name, known)}; name your own with --effect FILE.py:Class too"
+            raise InputError(f"There is no effect `{name}`", WHERE, remedy)
+        spec = own.get(name, EffectSpec(name, None, {}))
+        effects_by_name[name] = built(name, effect_class(spec), spec.values)
+        if len(spec.values) == len(parameters(effects_by_name[name])) > 0:
+            raise InputError(f"All parameters of `{name}` are fixed", "option --effect", "leave one without a value")
+        held |= {f"effects.{name}.{part}" for part in spec.values}
+    rest = [text for text, spec in texts.items() if spec.name not in effects]
+    return effects_by_name, held, argparse.Namespace(**{**vars(options), "effect": rest})
+
+
+def frame_rate(run: Any) -> float:
+    """Frame rate of a run [Hz]."""
+    return (run.times.shape[0] - 1) / float(run.times[-1] - run.times[0])

@@ -1,0 +1,23 @@
+"""Exit statuses, and the one-line error message."""
+
+import os
+import sys
+import traceback
+
+DONE, FAILED, WRONG, INTERRUPTED = 0, 1, 2, 130
+
+
+def complain(error: object, status: int) -> int:
+    """Print `error` on standard error in one line and return `status`."""
+    if os.environ.get("SNAKEJAX_DEBUG") and isinstance(error, BaseException):
+        traceback.print_exception(error)
+    print(f"snakejax: error: {' '.join(str(error).split())}", file=sys.stderr)
+    return status
+
+
+def unexpected(error: Exception, where: str = "this command") -> str:
+    """The message of an unexpected error."""
+    if os.environ.get("SNAKEJAX_DEBUG"):
+        traceback.print_exception(error)
+    first = (str(error).strip().splitlines() or [""])[0][:200]
+    return f"{type(error).__name__}: {first}, {where}: a bug in snakejax; set SNAKEJAX_DEBUG=1 for the traceback"

@@ -1,0 +1,109 @@
+"""The command line parser; every failure is reported in one line."""
+
+import argparse
+import os
+import re
+import sys
+from collections.abc import Sequence
+from typing import NoReturn
+
+from snakejax.core.errors import InputError
+
+from . import check, compare, completion, diagnose, explain, fit, importing, new, simulate, sweep, tune
+from .exit_status import DONE, FAILED, INTERRUPTED, WRONG, complain, unexpected
+from .interrupt import PersistentInterrupt
+from .options import Formatter
+
+COMMANDS = (check, new, importing, fit, compare, diagnose, explain, simulate, sweep, tune, completion)
+
+_EXAMPLES = """\
+examples:
+  snakejax check data/level-board
+  snakejax fit data/level-board --out out
+  snakejax simulate paper-rotate --csv out
+"""
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser that reports errors as `InputError`."""
+
+    def error(self, message: str) -> NoReturn:
+        raise InputError(message, "command line", f"see `{self.prog} --help`")
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser of all commands."""
+    top = _Parser(
+        prog="snakejax",
+        description="Simulate a skidding snakeboard, fit its tyre parameters to recordings,\n"
+        "and find where model and recordings disagree.",
+        epilog=_EXAMPLES,
+        formatter_class=Formatter,
+        allow_abbrev=False,
+    )
+    top.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    commands = top.add_subparsers(title="commands", dest="command", metavar="COMMAND", required=True)
+    for command in COMMANDS:
+        command.add(commands)
+    commands.choices["completion"].set_defaults(program=top)
+    return top
+
+
+class _Version(argparse.Action):
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        import importlib.metadata
+
+        print(f"snakejax {importlib.metadata.version('snakejax')}")
+        parser.exit()
+
+
+def prepared(arguments: Sequence[str]) -> list[str]:
+    """`arguments` with `--start` and `--robust` joined to their values.
+
+    argparse would read `-1,0,0` as an option, and a CASE after `--robust` as its value.
+    """
+    words: list[str] = []
+    waiting = list(arguments)
+    while waiting:
+        word, *waiting = waiting
+        following = waiting[0] if waiting else ""
+        if word == "--start" and re.match(r"-[\d.]", following):
+            word, waiting = f"{word}={following}", waiting[1:]
+        elif word == "--robust" and not re.fullmatch(r"[\d.eE+-]+", following):
+            word = "--robust="
+        words.append(word)
+    return words
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run `snakejax` and return the exit status. Tracebacks are shown only where SNAKEJAX_DEBUG is set."""
+    interrupt = PersistentInterrupt()
+    try:
+        with interrupt:
+            options = parser().parse_args(prepared(sys.argv[1:] if arguments is None else arguments))
+            return options.run(options)
+    except SystemExit as done:
+        return int(done.code or DONE)
+    except InputError as error:
+        return complain(error, WRONG)
+    except KeyboardInterrupt:
+        return _interrupted(arguments is None)
+    except BrokenPipeError:
+        # The reader closed the pipe; flushing the rest at exit must not raise again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
+    except Exception as error:
+        # A library that is being imported makes an ImportError of an interrupt.
+        if interrupt.requested:
+            return _interrupted(arguments is None)
+        return complain(unexpected(error), FAILED)
+
+
+def _interrupted(at_once: bool) -> int:
+    """The line about an interrupt. `at_once` ends the process: a computation that still runs in a thread would fail
+    during the interpreter's shutdown."""
+    status = complain("Interrupted; finished results are kept: run the command again to compute the rest", INTERRUPTED)
+    if at_once:
+        sys.stdout.flush()
+        os._exit(status)
+    return status

@@ -1,0 +1,159 @@
+"""The progress line on a terminal: current phase, share done, time left."""
+
+import contextlib
+import time
+from collections.abc import Iterator
+from typing import NamedTuple, Protocol
+
+from snakejax.core.progress import Phase, ProgressEvent
+
+
+class ProgressLine(Protocol):
+    """Shows an event, with `case`, the number of CASEs done, and a `label` in front of its sentence."""
+
+    def __call__(self, event: ProgressEvent, /, case: int = 0, label: str = "") -> None: ...
+
+
+class Stop(NamedTuple):
+    """One phase on the route of a command: its usual duration [s], and whether it usually occurs."""
+
+    phase: Phase
+    seconds: float
+    usual: bool = True
+
+
+_FIT = (
+    Stop(Phase.FIRST_SECONDS, 3.0),
+    Stop(Phase.LONGER_HORIZON, 0.5),
+    Stop(Phase.WHOLE_RUNS, 3.0),
+    Stop(Phase.WINDOWS, 7.0, False),
+    Stop(Phase.TIGHTER_TOLERANCES, 6.0, False),
+    Stop(Phase.LOG_CLOCKS, 10.0, False),
+    Stop(Phase.LOG_NOISE, 40.0, False),
+    Stop(Phase.LOG_CLOCK_ERRORS, 10.0, False),
+)
+_DIAGNOSE = (
+    Stop(Phase.WINDOWS, 5.0),
+    Stop(Phase.WHOLE_RUNS, 3.0),
+    Stop(Phase.FIRST_SECONDS, 4.0, False),
+    Stop(Phase.LONGER_HORIZON, 0.5, False),
+    Stop(Phase.TIGHTER_TOLERANCES, 6.0, False),
+    Stop(Phase.LOG_NOISE, 40.0, False),
+    Stop(Phase.SCORE_TESTS, 2.0),
+    Stop(Phase.SCREENING, 5.0),
+    Stop(Phase.SCREENING_CANDIDATES, 7.0),
+    Stop(Phase.REFITTING_CANDIDATES, 5.0),
+    Stop(Phase.REFITTING_OTHER_STRUCTURE, 6.0, False),
+)
+_DRAWING = Stop(Phase.DRAWING, 5.0)
+ROUTES: dict[str, tuple[Stop, ...]] = {
+    "fit": (*_FIT, Stop(Phase.PROFILE, 10.0, False), _DRAWING),
+    "compare": (*_FIT, Stop(Phase.COMPARISON, 1.5), Stop(Phase.OTHER_MODELS, 10.0, False), _DRAWING),
+    "diagnose": (*_DIAGNOSE, _DRAWING),
+    "explain": (
+        *_DIAGNOSE,
+        Stop(Phase.TYRE_BESIDE_FORCE, 5.0, False),
+        Stop(Phase.CHOOSING_EFFECTS, 15.0, False),
+        Stop(Phase.FITTING_EFFECTS, 15.0, False),
+        Stop(Phase.PREDICTIVE_CHECK, 4.0, False),
+        Stop(Phase.PREDICTION, 4.0),
+        Stop(Phase.BEAM_SEARCH, 12.0, False),
+        Stop(Phase.REFITTING_SETS, 8.0, False),
+        Stop(Phase.ELIMINATION, 5.0, False),
+        Stop(Phase.LATENT_FORCE, 7.0, False),
+        Stop(Phase.FORCE_REGRESSION, 3.0, False),
+        Stop(Phase.COEXISTING_EFFECTS, 20.0, False),
+        _DRAWING,
+    ),
+}
+"""The phases of each command in order. The seconds are those of a usual recording; only their ratios matter."""
+
+
+class Course:
+    """The progress of one command, estimated from its phases, and the time at which it will end.
+
+    The remaining phases are assumed to take as many times their usual seconds as the finished ones took. A phase that
+    repeats does not move the progress back.
+    """
+
+    def __init__(self, route: tuple[Stop, ...], cases: int, now: float) -> None:
+        self.route, self.cases = route, cases
+        self.case, self.place, self.begun, self.first = 0, 0, now, now
+
+    def at(self, phase: Phase, case: int, now: float) -> tuple[float, float | None]:
+        """The share that is done, and the time at which all CASEs end [s], None where it is unknown."""
+        if case != self.case:
+            self.case, self.place, self.begun = case, 0, now
+        each = (self.begun - self.first) / case if case else None
+        if not self.route:
+            return case / self.cases, None if each is None else self.begun + (self.cases - case) * each
+        self.place = max([self.place, *(k for k, stop in enumerate(self.route) if stop.phase is phase)])
+        behind = sum(stop.seconds for stop in self.route[: self.place] if stop.usual)
+        before = self.route[self.place].seconds
+        before += sum(stop.seconds for stop in self.route[self.place + 1 :] if stop.usual)
+        usual = each / (behind + before) if each is not None else 1.0
+        pace = (now - self.begun) / behind if behind else usual
+        each = pace * (behind + before) if each is None else each
+        share = behind / (behind + before)
+        return (case + share) / self.cases, now + pace * before + (self.cases - case - 1) * each
+
+
+@contextlib.contextmanager
+def progress(quiet: bool, cases: int = 1, command: str = "", drawing: bool = False) -> Iterator[ProgressLine]:
+    """Show one progress line on a terminal, with a bar and the time left where they are known.
+
+    An event without a count is placed on the route of the `command`; `drawing`: whether the route ends with figures.
+    """
+    from rich import progress as parts
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    if quiet or not console.is_terminal:
+        yield lambda _, case=0, label="": None
+        return
+    columns = (
+        parts.SpinnerColumn(),
+        parts.TextColumn("{task.description}"),
+        parts.BarColumn(bar_width=20),
+        parts.TimeElapsedColumn(),
+        parts.TextColumn("left", style="dim"),
+        _left_column(),
+    )
+    with parts.Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("starting", total=None, ends=None)
+        route = tuple(stop for stop in ROUTES.get(command, ()) if drawing or stop is not _DRAWING)
+        course, begun, counted = Course(route, cases, time.monotonic()), 0.0, (None, None)
+
+        def say(event: ProgressEvent, /, case: int = 0, label: str = "") -> None:
+            nonlocal begun, counted
+            now, count = time.monotonic(), (event.done, event.total)
+            if event.total is None:
+                came, ends = course.at(event.phase, case, now)
+                full = None if ends is None else 1.0
+            else:
+                came, full = float(event.done or 0), float(event.total)
+                begun = now if event.total != counted[1] else begun
+                ends = bar.tasks[0].fields["ends"] if count == counted else None
+                ends = now + (now - begun) * (full - came) / came if came and ends is None else ends
+            counted = count
+            bar.tasks[0].total = full  # `update` ignores None
+            sentence = f"{label}: {event.sentence}" if label else event.sentence
+            bar.update(task, description=sentence, completed=came, ends=ends)
+
+        yield say
+
+
+def _left_column():
+    """The time left at the present pace; Rich's own column forgets paces below two steps in half a minute."""
+    from datetime import timedelta
+
+    from rich.progress import ProgressColumn, Task
+    from rich.text import Text
+
+    class Left(ProgressColumn):
+        def render(self, task: Task) -> Text:
+            ends = task.fields["ends"]
+            left = "-:--:--" if ends is None else str(timedelta(seconds=max(int(ends - time.monotonic()), 0)))
+            return Text(left, style="progress.remaining")
+
+    return Left()

@@ -1,0 +1,14 @@
+from .errors import FitError as FitError
+from .errors import InputError as InputError
+from .jax_config import prepare_jax as prepare_jax
+from .jax_config import require_x64 as require_x64
+from .parameter import Domain as Domain
+from .parameter import Parameter as Parameter
+from .parameter import Parametrised as Parametrised
+from .parameter import Scalar as Scalar
+from .parameter import param as param
+from .parameter import parameters as parameters
+from .parameter import with_parameters as with_parameters
+from .progress import Phase as Phase
+from .progress import Progress as Progress
+from .progress import ProgressEvent as ProgressEvent

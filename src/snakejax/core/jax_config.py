@@ -1,0 +1,35 @@
+"""Configuration of JAX; importing the package changes none of its settings."""
+
+import os
+
+import jax
+import jax.core
+
+
+def require_x64() -> None:
+    """Check the precision. **Raises:** `RuntimeError` unless JAX computes in double precision."""
+    if not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
+        raise RuntimeError(
+            'snakejax computes in double precision: call `jax.config.update("jax_enable_x64", True)` first.'
+        )
+
+
+_OPTIONS = {
+    "xla_backend_extra_options": "xla_cpu_small_while_loop_byte_threshold=1000000000",
+    "xla_cpu_prefer_vector_width": "512",
+}
+
+
+def prepare_jax() -> None:
+    """Set double precision, which this package needs, and XLA options that make it 3 to 5 times faster on a CPU.
+
+    XLA runs a loop as a list of small kernels; for the few numbers of one vehicle the calls cost more than the
+    arithmetic. The first option compiles the body of a loop to one function, the second allows 512-bit vectors. XLA
+    reads its options at the first computation, so call this before. Options already in XLA_FLAGS are not changed.
+    """
+    flags = os.environ.get("XLA_FLAGS", "")
+    added = [f"--{name}={value}" for name, value in _OPTIONS.items() if name not in flags]
+    os.environ["XLA_FLAGS"] = " ".join([flags, *added]).strip()
+    import jax
+
+    jax.config.update("jax_enable_x64", True)

@@ -1,0 +1,79 @@
+"""Progress of a computation, as events: the phase, a sentence about it, and a count where one is known."""
+
+import enum
+from collections.abc import Callable
+from typing import NamedTuple
+
+
+class Phase(enum.Enum):
+    """What a computation is doing. The value is the sentence shown for an event without a text of its own."""
+
+    READING = "reading"
+    CHECKING = "checking"
+    # Estimation
+    FIRST_SECONDS = "first seconds"
+    LONGER_HORIZON = "more seconds"
+    WINDOWS = "fitting windows"
+    WHOLE_RUNS = "fitting whole runs"
+    TIGHTER_TOLERANCES = "fitting whole runs more accurately"
+    LOG_CLOCKS = "aligning the clocks of the joint logs"
+    LOG_NOISE = "what noise in the joint logs does"
+    LOG_CLOCK_ERRORS = "what the joint logs leave open"
+    START_STATES = "estimating where the runs start"
+    PROFILE = "profile likelihood"
+    POSTERIOR_SAMPLES = "drawing from the fit"
+    # Diagnosis
+    COMPARISON = "comparing"
+    OTHER_MODELS = "fitting other models"
+    SCORE_TESTS = "scoring candidates"
+    SCREENING = "settling on windows"
+    SCREENING_CANDIDATES = "settling candidates on windows"
+    REFITTING_CANDIDATES = "refitting candidates on whole runs"
+    REFITTING_OTHER_STRUCTURE = "refitting with the other structure"
+    PREDICTION = "predicting runs that were left out"
+    BEAM_SEARCH = "searching for sets of effects"
+    REFITTING_SETS = "refitting sets of effects on whole runs"
+    ELIMINATION = "can the model do without an effect?"
+    LATENT_FORCE = "estimating the missing force"
+    FORCE_REGRESSION = "what does the missing force depend on?"
+    COEXISTING_EFFECTS = "which effects stay significant beside the missing force?"
+    TYRE_BESIDE_FORCE = "fitting the tyre beside a random force"
+    CHOOSING_EFFECTS = "choosing effects beside a random force"
+    FITTING_EFFECTS = "fitting the chosen effects beside a random force"
+    PREDICTIVE_CHECK = "predicting the held-out runs"
+    # Simulation and design
+    SIMULATION = "simulating"
+    SWEEP = "sweeping"
+    PRIOR_INFORMATION = "what the given runs say"
+    OPTIMISATION = "optimising the gait"
+    # Output
+    DRAWING = "drawing"
+    ANIMATION = "filming"
+
+
+class ProgressEvent(NamedTuple):
+    """One report of progress: the `phase`, its `text` (default: the sentence of the phase), and `done` of `total`.
+
+    `str(event)` is the sentence, with the count where there is one.
+    """
+
+    phase: Phase
+    text: str = ""
+    done: int | None = None
+    total: int | None = None
+
+    @property
+    def sentence(self) -> str:
+        """What is being done, without the count."""
+        return self.text or self.phase.value
+
+    def __str__(self) -> str:
+        return self.sentence if self.total is None else f"{self.sentence} ({self.done} of {self.total})"
+
+
+Progress = Callable[[ProgressEvent], None]
+"""What is called with each event; `print` is one."""
+
+
+def no_progress(_: object) -> None:
+    """Report nothing."""

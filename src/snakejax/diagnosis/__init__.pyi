@@ -1,0 +1,13 @@
+from .diagnosing import Diagnosis as Diagnosis
+from .diagnosing import diagnose as diagnose
+from .explaining import explain as explain
+from .explanation import Explanation as Explanation
+from .latent_force.missing_force import LatentForce as LatentForce
+from .latent_force.template import effect_template as effect_template
+from .residuals.comparison import Comparison as Comparison
+from .residuals.comparison import compare as compare
+from .residuals.comparison import compare_models as compare_models
+from .selection.criteria import CRITERIA as CRITERIA
+from .selection.criteria import SelectionCriteria as SelectionCriteria
+from .selection.steps import CandidateScore as CandidateScore
+from .selection.steps import SelectionStep as SelectionStep

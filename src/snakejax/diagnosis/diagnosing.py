@@ -1,0 +1,92 @@
+"""Diagnosis: which effect is missing?"""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, TypedDict, Unpack
+
+from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
+from snakejax.core.tabular import Tabular
+from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
+from snakejax.dynamics.ports import Effect
+from snakejax.recording.run import Case, Noise
+
+from .selection.candidates import CandidateFit, CandidateSet, structures
+from .selection.criteria import SelectionCriteria
+from .selection.ranking import RankedCandidate, insert_by_refit, rank
+from .selection.refit import base_fit
+from .selection.steps import SelectionStep
+from .selection.working_step import WorkingStep, selection_step
+
+
+class DiagnosisOptions(TypedDict, total=False):
+    """What `diagnose` and `explain` can be told beyond the recordings and the candidates.
+
+    `kind`: the tyre law of the base, "pacejka" (default) or "rayleigh"; `constraint`: its structure (default: the
+    case's); `with_`: effects in the base from the start; `switch`: whether the change of structure from coupled to
+    free is a candidate (default True); `criteria`: the thresholds of every decision (default: `CRITERIA` and
+    `[search]` of the case); `progress` is called with each `ProgressEvent`.
+    """
+
+    kind: str
+    constraint: str | None
+    with_: Sequence[str]
+    switch: bool
+    criteria: SelectionCriteria
+    progress: Progress
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Diagnosis(Tabular):
+    """What is missing: the fit of the `base` model to the runs of `case`, with its candidates ranked."""
+
+    case: Case
+    noise: Noise
+    base: SelectionStep
+
+    def headline(self) -> str:
+        """The error of the base and the best candidate beside it."""
+        return f"{self.base.headline()}; {self.base.fitted.runs_text}"
+
+    def columns(self) -> dict[str, list[Any]]:
+        """A row for each candidate, the best first."""
+        return self.base.columns()
+
+
+class BaseDiagnosis(NamedTuple):
+    """The workspace of a diagnosis: the base, and the other skid structure beside it where there is one."""
+
+    base: WorkingStep
+    switched: tuple[CandidateSet, CandidateFit] | None
+
+
+def diagnose(
+    case: Case, noise: Noise, library: Mapping[str, Effect], **question: Unpack[DiagnosisOptions]
+) -> Diagnosis:
+    """Rank the effects of `library` by how well each would explain what the base model leaves of the train runs.
+
+    Nothing is added: all candidates are scored at the base fit, the best few refitted beside it.
+
+    **Arguments:** `question`, see `DiagnosisOptions`. **Raises:** `FitError` where the base cannot be fitted.
+    """
+    return Diagnosis(case, noise, diagnose_base(case, noise, library, **question).base.record)
+
+
+def diagnose_base(
+    case: Case, noise: Noise, library: Mapping[str, Effect], **question: Unpack[DiagnosisOptions]
+) -> BaseDiagnosis:
+    """`diagnose`, with the workspace in which an explanation goes on."""
+    criteria = question.get("criteria") or SelectionCriteria.of(case)
+    with_, progress = question.get("with_", ()), question.get("progress", no_progress)
+    options = structures(case, question.get("kind", "pacejka"), question.get("constraint"))
+    options = options[: 2 if question.get("switch", True) else 1]
+    candidate_set = CandidateSet.of(options[0], case, noise, library, criteria=criteria)
+    step = CandidateFit(tuple(with_), base_fit(candidate_set, with_, progress))
+    ranking = tuple(rank(candidate_set, step, progress=progress))
+    switched = None
+    if len(options) > 1:
+        progress(ProgressEvent(Phase.REFITTING_OTHER_STRUCTURE, f"refitting with {LATERAL_SLIP_SWITCH}"))
+        other = CandidateSet.of(options[1], case, noise, library, switched=True, criteria=criteria)
+        there = CandidateFit(step.effects, base_fit(other, with_, progress))
+        ranking = insert_by_refit(ranking, RankedCandidate(LATERAL_SLIP_SWITCH, None, None, there.solution, (), None))
+        switched = (other, there)
+    return BaseDiagnosis(selection_step(candidate_set, "base", "", step, ranking), switched)

@@ -1,0 +1,258 @@
+"""The loop: fit, compare, diagnose, add, refit, until only noise is left or nothing known explains the rest."""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import Unpack
+
+import numpy as np
+
+from snakejax.core.errors import FitError
+from snakejax.core.progress import Progress, no_progress
+from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
+from snakejax.dynamics.ports import Effect
+from snakejax.estimation.discrepancy.priors import CONSTANTS
+from snakejax.estimation.fit_workspace import fit_workspace
+from snakejax.estimation.goodness_of_fit import consistent_with_noise
+from snakejax.estimation.initial_model import starting_model
+from snakejax.estimation.joint_logs.clocks import STILL, free_clocks
+from snakejax.estimation.joint_logs.fitting import (
+    with_aligned_logs,
+    with_clock_errors,
+    with_estimated_logs,
+    with_log_noise,
+)
+from snakejax.estimation.joint_logs.log_noise import is_noisy
+from snakejax.recording.run import Case, Noise
+
+from .diagnosing import BaseDiagnosis, DiagnosisOptions, diagnose_base
+from .explanation import Explanation
+from .inexact.confidence import AMBIGUOUS, STAND_IN, SURE
+from .inexact.explaining import assess_effects, explanation_of, shares_of, supports
+from .latent_force.missing_force import LatentForce, choose_structure
+from .selection.acceptance import accept_structure, heldout_consistent
+from .selection.candidates import CandidateFit, CandidateSet
+from .selection.ranking import rank, significant
+from .selection.steps import SelectionStep
+from .selection.stepwise import stepwise_selection
+from .selection.working_step import WorkingStep, selection_step
+
+Show = Callable[[SelectionStep], None]
+
+STATED_WELL = 3.5
+"""A constant is not off by more than so many standard deviations of what is known of it: one in two thousand."""
+
+
+def explain(
+    case: Case,
+    noise: Noise,
+    library: Mapping[str, Effect],
+    *,
+    show: Show = no_progress,
+    **question: Unpack[DiagnosisOptions],
+) -> Explanation:
+    """Find out which effects of `library` the recordings of `case` show beyond the base model.
+
+    The free clocks of joint logs are found with them, and what noise in the logs does: from short windows and the base
+    first, then as the final model has them, with which the recordings are explained once more, at most
+    `log_clock_rounds` times.
+
+    **Arguments:** `show` is given each stage; `question`, see `DiagnosisOptions`.
+    **Raises:** `FitError` where the base cannot be fitted.
+    """
+    progress = question.get("progress", no_progress)
+    logged = any(free_clocks(run) or is_noisy(run.gait) for run in case.runs)
+    if logged:
+        model = starting_model(case, question.get("kind", "pacejka"), question.get("constraint"))
+        case = with_estimated_logs(model, case, noise, progress)
+    # Steps on clocks that are still to be improved are shown to nobody.
+    show_now = no_progress if logged else show
+    diagnosis = diagnose_base(case, noise, library, **question)
+    show_now(diagnosis.base.record)
+    if not _one_effect_explains(diagnosis):
+        found = _when_no_model_is_exact(case, noise, diagnosis, progress)
+        if found is not None:
+            for step in found.steps if logged else found.steps[1:]:
+                show(step)
+            return found
+    stages = [diagnosis.base, *_steps_beyond_base(diagnosis, progress, show_now)]
+    for _ in range(diagnosis.base.candidate_set.criteria.log_clock_rounds if logged else 0):
+        improved = _with_logs_of(case, stages[-1], progress)
+        if improved is None:
+            break
+        case = improved
+        diagnosis, stages = _select(case, noise, library, question)
+    for stage in stages if logged else ():
+        show(stage.record)
+    return _with_clock_errors(_conclude(case, noise, diagnosis, stages, progress), stages[-1], progress)
+
+
+def _select(
+    case: Case, noise: Noise, library: Mapping[str, Effect], question: DiagnosisOptions
+) -> tuple[BaseDiagnosis, list[WorkingStep]]:
+    """The diagnosis, and all steps from the base on, with the joint logs on the clocks they have; nothing is shown."""
+    diagnosis = diagnose_base(case, noise, library, **question)
+    steps = _steps_beyond_base(diagnosis, question.get("progress", no_progress), no_progress)
+    return diagnosis, [diagnosis.base, *steps]
+
+
+def _one_effect_explains(diagnosis: BaseDiagnosis) -> bool:
+    """Whether the base, or the base and one effect, leaves only noise: the model is exact."""
+    base = diagnosis.base
+    if consistent_with_noise(base.step.solution) and not significant(base.ranking, base.candidate_set.criteria):
+        return True
+    switched = () if diagnosis.switched is None else (diagnosis.switched[1].solution,)
+    refits = (row.refit for row in base.ranking if row.refit is not None and not row.failed)
+    return any(consistent_with_noise(fit) for fit in (*refits, *switched))
+
+
+def _with_logs_of(case: Case, last: WorkingStep, progress: Progress) -> Case | None:
+    """`case` with the clocks of joint logs, and what their noise does, as the `last` model has them; None where it is
+    too far off to tell, or nothing changes.
+    """
+    free = any(free_clocks(run) for run in case.runs)
+    noisy = any(is_noisy(run.gait) and run.wander is None for run in case.runs)
+    if not (free or noisy) or not last.step.solution.misfit < last.candidate_set.criteria.far_misfit:
+        return None
+    fit = fit_workspace(last.candidate_set.problem, last.step.solution)
+    if free:
+        try:
+            fit = with_aligned_logs(fit, np.inf, progress)
+        except FitError:
+            return None
+    runs = fit.problem.runs
+    clocks_stay = all(
+        abs(getattr(new.log, name) - getattr(old.log, name)) < STILL * getattr(new.log, f"{name}_sd")
+        for new, old in zip(runs, case.runs, strict=True)
+        for name in free_clocks(new)
+    )
+    with_noise = with_log_noise(fit, progress) if noisy else None
+    if clocks_stay and with_noise is None:
+        return None
+    return dataclasses.replace(case, runs=runs if with_noise is None else with_noise)
+
+
+def _with_clock_errors(explanation: Explanation, last: WorkingStep, progress: Progress) -> Explanation:
+    """`explanation`, where its `last` step is near the noise with the errors that clocks of joint logs bring to it."""
+    case = explanation.case
+    near = last.step.solution.misfit < last.candidate_set.criteria.linear_misfit
+    if not near or all(run.log is None for run in case.runs):
+        return explanation
+    fit = fit_workspace(last.candidate_set.problem, last.step.solution)
+    wider = with_clock_errors(fit, progress)
+    if wider is fit:
+        return explanation
+    final = dataclasses.replace(explanation.final, estimates=wider.result().estimates)
+    case = dataclasses.replace(case, runs=wider.problem.runs)
+    return dataclasses.replace(explanation, steps=(*explanation.steps[:-1], final), case=case)
+
+
+def _when_no_model_is_exact(
+    case: Case, noise: Noise, diagnosis: BaseDiagnosis, progress: Progress
+) -> Explanation | None:
+    """The explanation with a random force, wandering noise and constants within their priors.
+
+    None where no such thing is found, so that a model is exact, and where what is left is a law that the model lacks.
+    """
+    candidate_set = diagnosis.switched[0] if diagnosis.switched else diagnosis.base.candidate_set
+    if not supports(candidate_set):
+        return None
+    try:
+        found = assess_effects(case, noise, candidate_set, diagnosis.base.step.effects, progress)
+    except FitError:
+        return None
+    if found.world.exact or found.random_force_share > candidate_set.criteria.largest_random_force:
+        return None
+    return explanation_of(case, noise, found, candidate_set, diagnosis.base.record)
+
+
+def _steps_beyond_base(diagnosis: BaseDiagnosis, progress: Progress, show: Show) -> list[WorkingStep]:
+    """The steps after the base, under the structure with which the recordings are explained better."""
+    base = diagnosis.base
+    candidate_set, step, ranking = base.candidate_set, base.step, base.ranking
+    if consistent_with_noise(step.solution) and not significant(ranking, candidate_set.criteria):
+        return []
+    if diagnosis.switched is None:
+        return stepwise_selection(candidate_set, step, ranking, [], progress, show)
+    relaxed = diagnosis.switched[1]
+    best_refit = min((r.refit_misfit for r in ranking if r.refit is not None), default=np.inf)
+    if relaxed.solution.misfit <= best_refit and accept_structure(step, relaxed, candidate_set.criteria):
+        return _relaxed_steps(*diagnosis.switched, progress, show)
+    steps = stepwise_selection(candidate_set, step, ranking, [], progress, no_progress)
+    if not (steps and consistent_with_noise(steps[-1].step.solution)):
+        # This structure does not explain by itself: select under the other one too, and keep what gets further.
+        others = _relaxed_steps(*diagnosis.switched, progress, no_progress)
+        reached = steps[-1].step.solution.misfit if steps else step.solution.misfit
+        steps = others if others[-1].step.solution.misfit < reached else steps
+    for one in steps:
+        show(one.record)
+    return steps
+
+
+def _relaxed_steps(
+    candidate_set: CandidateSet, step: CandidateFit, progress: Progress, show: Show
+) -> list[WorkingStep]:
+    """The change of structure, to the fit `step` under it, and the steps after it."""
+    ranking = rank(candidate_set, step, progress=progress)
+    first = selection_step(candidate_set, "added", LATERAL_SLIP_SWITCH, step, ranking)
+    show(first.record)
+    return stepwise_selection(candidate_set, step, first.ranking, [first], progress, show)
+
+
+def _conclude(
+    case: Case, noise: Noise, diagnosis: BaseDiagnosis, stages: Sequence[WorkingStep], progress: Progress
+) -> Explanation:
+    """The verdict on the last of the steps, and what is missing where it leaves more than noise."""
+    last, steps = stages[-1], tuple(stage.record for stage in stages)
+    final, left_out = steps[-1], steps[0].left_out
+    only_noise = consistent_with_noise(last.step.solution)
+    if only_noise and heldout_consistent(last.candidate_set, last.step, last.judgement):
+        verdict = "explained" if final.effects else "adequate"
+        share, explained_share = shares_of(steps)
+        sure = {effect: _confidence_where_exact(final, effect) for effect in final.effects}
+        return Explanation(
+            case,
+            noise,
+            steps,
+            verdict,
+            final.effects,
+            (),
+            left_out,
+            None,
+            confidence=sure,
+            share=share,
+            explained_share=explained_share,
+        )
+    missing = None
+    if len(last.candidate_set.train) > 1:
+        missing = _latent_force(diagnosis, last, progress)
+    coexisting = () if missing is None else missing.beside
+    partial = tuple(name for name in final.effects if name not in coexisting)
+    # A fit without the force gives the effects that act beside it values that are wrong by what the force does.
+    known = {} if missing is None else missing.estimates
+    estimates = final.estimates | {name: e for name, e in known.items() if name.split(".")[1] in coexisting}
+    steps = (*steps[:-1], dataclasses.replace(final, estimates=estimates))
+    return Explanation(case, noise, steps, "unexplained", coexisting, partial, left_out, missing)
+
+
+def _confidence_where_exact(final: SelectionStep, effect: str) -> str:
+    """How sure an effect is where it leaves only noise: the model is exact, so only a twin or a constant is as good."""
+    if any(row.effect == effect and row.confusable_with for row in final.ranking):
+        return AMBIGUOUS
+    port = final.model.effects.get(effect)
+    for name, constant in ({} if port is None else port.equivalent_constant).items():
+        if abs(final.estimates_of(effect)[name].value) < STATED_WELL * CONSTANTS[constant]:
+            return STAND_IN
+    return SURE
+
+
+def _latent_force(diagnosis: BaseDiagnosis, last: WorkingStep, progress: Progress) -> LatentForce:
+    """The force that both structures lack, and the added effects that act beside it.
+
+    Effects that do not explain would hide a part of it, so it is estimated from the structures on.
+    """
+    base = diagnosis.base
+    structures = [(base.candidate_set, base.step)]
+    if diagnosis.switched:
+        structures.append(diagnosis.switched)
+    added = [name for name in last.step.effects if name not in base.step.effects]
+    return choose_structure(structures, last.candidate_set, added, progress)

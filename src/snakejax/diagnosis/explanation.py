@@ -1,0 +1,104 @@
+"""What the loop found, as plain data."""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+from snakejax.core.tabular import Tabular, listed, three_digits
+from snakejax.estimation.goodness_of_fit import score_columns
+from snakejax.estimation.uncertainty import Estimate
+from snakejax.recording.run import Case, Noise
+
+from .latent_force.missing_force import LatentForce
+from .selection.steps import SelectionStep
+
+
+class TriedCandidate(NamedTuple):
+    """One candidate beside the model of one step: whether it was `taken`, and `why` or why not.
+
+    `share`: of the squared error on runs left out that it takes away; `misfit`: of its refit on whole train runs;
+    `instead_of`: the effects in whose place it would do nearly as well.
+    """
+
+    step: int
+    effect: str
+    share: float | None
+    p_value: float | None
+    misfit: float | None
+    taken: bool
+    why: str
+    instead_of: tuple[str, ...] = ()
+
+
+class PoseError(NamedTuple):
+    """A root mean square error in `position_m` and `heading_rad`; `source`: whence it is known."""
+
+    position_m: float
+    heading_rad: float
+    source: str
+
+
+class Remainder(NamedTuple):
+    """The root mean square error above the floor that the final model leaves, and the shares of variables in it."""
+
+    position_m: float
+    heading_rad: float
+    depends_on: tuple[tuple[str, float], ...] = ()
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Explanation(Tabular):
+    """The whole story: `steps[0]` is the base, the last one the final model.
+
+    `verdict`: "adequate", "explained" or "unexplained". `effects`: what explains the recordings, or of those that stay
+    unexplained what survives beside the missing force. `partial`: what helped without explaining. `left_out`:
+    candidates that do not apply, with the reason. `missing`: the force that the base lacks, where nothing explains it;
+    None where there is but one train run to learn it from.
+
+    Where they were found: by effect its `confidence` ("sure", "likely", "stand_in" or "ambiguous") and its `share` of
+    the squared error on runs left out, `explained_share` of all together; the `floor` that vehicle and cameras leave,
+    the `remainder` above it; the `candidates` of every step; and the `constants` of the vehicle, by name, which were
+    estimated within what is known of them.
+    """
+
+    case: Case
+    noise: Noise
+    steps: tuple[SelectionStep, ...]
+    verdict: str
+    effects: tuple[str, ...]
+    partial: tuple[str, ...]
+    left_out: dict[str, str]
+    missing: LatentForce | None
+    confidence: dict[str, str] = dataclasses.field(default_factory=dict)
+    share: dict[str, float] = dataclasses.field(default_factory=dict)
+    explained_share: float | None = None
+    floor: PoseError | None = None
+    remainder: Remainder | None = None
+    candidates: tuple[TriedCandidate, ...] = ()
+    constants: dict[str, Estimate] = dataclasses.field(default_factory=dict)
+
+    @property
+    def base(self) -> SelectionStep:
+        """The fit before anything was added."""
+        return self.steps[0]
+
+    @property
+    def final(self) -> SelectionStep:
+        """The fit with all that was added."""
+        return self.steps[-1]
+
+    def headline(self) -> str:
+        """The verdict, the error before and after in multiples of the noise, and the runs."""
+        told = self.verdict + (f" by {listed(self.effects)}" if self.effects and self.verdict == "explained" else "")
+        beside = f" but for {listed(self.effects)}" if self.effects and self.verdict == "unexplained" else ""
+        helped = f"; {listed(self.partial)} helped" if self.partial else ""
+        ends = [self.base] if len(self.steps) == 1 else [self.base, self.final]
+        error = " -> ".join(three_digits(step.train.times_noise) for step in ends)
+        return f"{told}{beside}; {error} times the noise{helped}; {self.base.fitted.runs_text}"
+
+    def columns(self) -> dict[str, list[Any]]:
+        """A row for each step, with its errors on train and on held-out runs."""
+        return {
+            "step": [step.title for step in self.steps],
+            **score_columns([step.train for step in self.steps], [step.heldout for step in self.steps]),
+            "converged": [step.converged for step in self.steps],
+        }

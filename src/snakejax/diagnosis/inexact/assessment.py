@@ -1,0 +1,94 @@
+"""Everything that is told of the effects which a search has found, as plain numbers."""
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from snakejax.core.progress import Phase, ProgressEvent
+from snakejax.estimation.discrepancy.kalman import open_loop_sd
+from snakejax.estimation.discrepancy.least_squares import Optimum
+from snakejax.estimation.uncertainty import UNDETERMINED_SD, Estimate
+from snakejax.recording.run import Run
+
+from .confidence import Confidence, confidence
+from .evidence import World, world
+from .left_out import LeftOut, left_out
+from .prediction import PredictiveCheck, predictive_check
+from .search import ARRIVED, Linear, Search, distance
+from .subsets import Subsets
+
+FAR = 30.0
+"""Beyond this many standard deviations a linear problem is too far from where it was linearised."""
+REFITS = 3
+"""Rounds of such a fit."""
+
+
+class Assessment(NamedTuple):
+    """What a search has found.
+
+    `base`: effects that were in the model from the start; `effects`, the strongest first; `wide`: the problem under the
+    discrepancy of intervals (`interval_force`); `confidence` of each effect; `predicted`: runs left out; `world`: what
+    else is there; `check` of the held-out runs; `floor` (3,) [m, m, rad]: what vehicle and cameras leave of whole runs.
+    """
+
+    search: Search
+    linear: Linear
+    base: tuple[str, ...]
+    effects: tuple[str, ...]
+    wide: Subsets
+    confidence: dict[str, Confidence]
+    predicted: LeftOut
+    world: World
+    check: PredictiveCheck | None
+    floor: np.ndarray
+
+    @property
+    def random_force_share(self) -> float:
+        """The largest random force, as a share of the force that moves the vehicle."""
+        return float(np.max(self.linear.point.discrepancy.force / self.search.scales.force))
+
+    def fit_with(self, effects: tuple[str, ...]) -> tuple[np.ndarray, bool]:
+        """The values (P,) with some of the effects, by the linear problem, or fitted anew where that is too far; and
+        whether that fit has converged."""
+        linear, whole = self.linear, effects == self.effects
+        if distance(linear.subsets.with_effects(effects)) > FAR:
+            linear = self.search.refit(linear.point, effects, rounds=REFITS, most=0)
+        best = linear.subsets.with_effects(effects)
+        values = self.search.segments.moved(linear.point.values, best.step)
+        return values, distance(best) < (ARRIVED if whole else FAR)
+
+    def estimates(self, effects: tuple[str, ...], values: np.ndarray) -> dict[str, Estimate]:
+        """The estimates of the parameters free in a model with `effects`, by name, at their `values`."""
+        return estimates_at(self.search, self.wide.with_effects(effects), values, self.search.model.free(effects))
+
+
+def estimates_at(search: Search, best: Optimum, values: np.ndarray, columns: Iterable[int]) -> dict[str, Estimate]:
+    """The `values` of the parameters numbered `columns`, by name, with the errors of the optimum `best`."""
+    found = {}
+    for k in columns:
+        domain, step = search.segments.domains[k], float(best.sd[k])
+        shaped = domain.multiplicative or domain.typical is not None
+        held = k not in best.free
+        sd = None if held else step * (abs(float(values[k])) if domain.multiplicative else 1.0)
+        determined = not held and not (shaped and step > UNDETERMINED_SD)
+        found[search.model.names[k]] = Estimate(float(values[k]), sd, domain.unit, determined, held)
+    return found
+
+
+def assess(search: Search, linear: Linear, base: tuple[str, ...], heldout: Sequence[Run]) -> Assessment:
+    """All that is told of the point of `linear`, judged by the `heldout` runs; `base`: effects always in the model."""
+    criteria, scales = search.criteria, search.scales
+    found = world(search, linear)
+    wide = linear.point.discrepancy
+    if found.has_force:
+        wide = wide.enlarged(criteria.interval_force * scales.force, longest=criteria.shortest_force)
+    predicted = left_out(search, linear)
+    sure = confidence(search, linear, predicted)
+    effects = tuple(sorted(sure, key=lambda effect: -sure[effect].cautious_fall))
+    problem = linear.under(wide)
+    values = search.segments.moved(linear.point.values, linear.optimum.step)
+    search.progress(ProgressEvent(Phase.PREDICTIVE_CHECK))
+    check = predictive_check(search, heldout, values, problem.with_effects(effects), wide)
+    floor = np.sqrt((open_loop_sd(linear.data, linear.point.discrepancy) ** 2).mean(axis=0))
+    return Assessment(search, linear, base, effects, problem, sure, predicted, found, check, floor)

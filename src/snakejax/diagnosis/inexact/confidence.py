@@ -1,0 +1,69 @@
+"""How sure an effect is: sure, likely, one of several, or in place of something else."""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from .left_out import LeftOut
+from .search import Linear, Search
+from .subsets import Subsets, falls, substitutes
+
+SURE, LIKELY, STAND_IN, AMBIGUOUS = "sure", "likely", "stand_in", "ambiguous"
+
+
+class Confidence(NamedTuple):
+    """How sure one effect is.
+
+    `word`: "ambiguous" where another candidate does nearly as well in its place (`twins`); "sure" where chi^2 rises
+    by more than `threshold` without it, even if a share `cautious_force` of the forces were something else; "likely"
+    where it rises by so much under the estimated discrepancy, by half of it under the cautious one, and the effect
+    predicts runs left out; else "stand_in": it lowers the error, but something else may be the cause. `fall`,
+    `cautious_fall`: those rises. `instead`: the candidates that could take its place.
+    """
+
+    word: str
+    fall: float
+    cautious_fall: float
+    threshold: float
+    instead: tuple[str, ...]
+
+
+def cautious(search: Search, linear: Linear) -> Subsets:
+    """The problem at `linear` with a share `cautious_force` of the forces that move the vehicle unknown."""
+    criteria = search.criteria
+    wide = linear.point.discrepancy.enlarged(criteria.cautious_force * search.scales.force, criteria.shortest_force)
+    return linear.under(wide)
+
+
+def confidence(search: Search, linear: Linear, predicted: LeftOut) -> dict[str, Confidence]:
+    """How sure each effect of the point of `linear` is."""
+    effects, wide = linear.point.effects, cautious(search, linear)
+    bare_falls, wide_falls = falls(linear.subsets, effects), falls(wide, effects)
+    return {
+        effect: _confidence(search, linear.subsets, wide, predicted, effects, effect, bare_falls[effect], fall)
+        for effect, fall in wide_falls.items()
+    }
+
+
+def _confidence(search, subsets, wide, predicted, effects, effect, fall, cautious_fall) -> Confidence:
+    threshold = subsets.threshold(effect)
+    instead = twins(search, wide, effects, effect)
+    if instead:
+        word = AMBIGUOUS
+    elif cautious_fall >= threshold:
+        word = SURE
+    elif fall >= threshold and cautious_fall >= threshold / 2 and predicted.gain(effects, effect).predicts:
+        word = LIKELY
+    else:
+        word = STAND_IN
+    return Confidence(word, fall, cautious_fall, threshold, instead)
+
+
+def twins(search: Search, wide: Subsets, effects: Iterable[str], effect: str) -> tuple[str, ...]:
+    """The candidates that take the place of `effect`, the best first: chi^2 rises by less than `distinct_chi2`, and by
+    less than half of what it rises by where nothing takes its place."""
+    costs = substitutes(wide, effects, effect)
+    most = min(search.criteria.distinct_chi2, 0.5 * falls(wide, effects)[effect])
+    near = [other for other, cost in costs.items() if cost < most]
+    return tuple(sorted(near, key=lambda other: costs[other] if np.isfinite(costs[other]) else np.inf))

@@ -1,0 +1,62 @@
+"""What the recordings say of the world: is a random force there, does noise wander, are the constants as stated?"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from snakejax.estimation.discrepancy.least_squares import Prior, optimum
+from snakejax.estimation.discrepancy.strength import restricted_likelihood
+
+from .search import Linear, Search
+
+
+class World(NamedTuple):
+    """-2 log restricted likelihood more without each: a random `force`, noise that is `wandering`, and `constants`
+    other than stated (with their priors counted)."""
+
+    force: float
+    wandering: float
+    constants: float
+    least: float
+
+    @property
+    def has_force(self) -> bool:
+        """Whether a random force acts beside the model."""
+        return self.force > self.least
+
+    @property
+    def exact(self) -> bool:
+        """Whether the model with the stated constants and white noise is all that there is."""
+        return not (self.has_force or self.wandering > self.least or self.constants > self.least)
+
+
+def world(search: Search, linear: Linear) -> World:
+    """The evidence at `linear`, whose discrepancy has been estimated."""
+    point, free = linear.point, search.model.free(linear.point.effects)
+    prior = search.prior_at(point.values)
+    low, _ = search.scales.bounds()
+    still = point.discrepancy.without_force(search.scales.least_force)
+    white = point.discrepancy._replace(
+        white=np.hypot(point.discrepancy.white, point.discrepancy.wander), wander=np.exp(low[[2, 2, 3]])
+    )
+    now = restricted_likelihood(linear.data, point.discrepancy, free, prior)
+    return World(
+        restricted_likelihood(linear.data, still, free, prior) - now,
+        restricted_likelihood(linear.data, white, free, prior) - now,
+        _gain_of_free_constants(search, linear, linear.under(still).gram),
+        search.criteria.random_force_chi2,
+    )
+
+
+def _gain_of_free_constants(search: Search, linear: Linear, gram: np.ndarray) -> float:
+    """By how much the constants of the vehicle as stated are less likely than free ones within their priors."""
+    free, prior = search.model.free(linear.point.effects), search.prior_at(linear.point.values)
+    others = np.array([k for k in free if k not in search.model.constants], int)
+    return _evidence(gram, others, prior) - _evidence(gram, free, prior)
+
+
+def _evidence(gram: np.ndarray, free: np.ndarray, prior: Prior) -> float:
+    """chi^2 + ln |normal equations| - ln |prior precision| of the parameters `free`, the others at their prior mean."""
+    unbounded = np.full(len(prior.mean), np.inf)
+    best = optimum(gram, list(free), prior, prior.mean, -unbounded, unbounded)
+    return float(best.chi2 - np.linalg.slogdet(best.covariance)[1] - np.log(prior.precision[free]).sum())

@@ -1,0 +1,142 @@
+"""Explaining recordings for which no model is exact."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from snakejax.core.progress import Progress
+from snakejax.estimation.discrepancy.segments import BODY, Segments
+from snakejax.estimation.discrepancy.strength import scales_of
+from snakejax.estimation.uncertainty import Estimate
+from snakejax.recording.run import Case, Noise
+
+from ..explanation import Explanation, PoseError, Remainder, TriedCandidate
+from ..selection.candidates import CandidateSet
+from ..selection.steps import SelectionStep
+from .assessment import Assessment, assess
+from .candidate_model import candidate_model, movable_parameters
+from .search import Search, search_effects
+from .steps import steps_of
+
+
+def supports(candidate_set: CandidateSet) -> bool:
+    """Whether the structure of the model is one whose state is the pose and the velocities of the body."""
+    model = candidate_set.problem.model
+    zero = np.zeros(())
+    return model.constraint.slips and model.constraint.frees_wheels and len(model.start((zero, zero, zero))[0]) == BODY
+
+
+def assess_effects(
+    case: Case, noise: Noise, candidate_set: CandidateSet, base: Sequence[str], progress: Progress
+) -> Assessment:
+    """Which effects `candidate_set` needs beside those of the `base`, with a random force and constants within priors.
+
+    **Raises:** `FitError` where a simulation is not finite.
+    """
+    model = candidate_set.problem.model
+    train = case.having("train")
+    names = movable_parameters(model, candidate_set.tyre, candidate_set.candidates, base)
+    segments = Segments(model, train, names)
+    scales = scales_of(segments, np.asarray(noise.channels), noise.correlation)
+    priors = candidate_model(model, candidate_set.tyre, candidate_set.candidates, base, scales, case.constant_sd)
+    search = Search(segments, priors, scales, candidate_set.criteria, progress)
+    linear = search_effects(search)
+    return assess(search, linear, tuple(base), case.having("heldout"))
+
+
+def explanation_of(
+    case: Case, noise: Noise, found: Assessment, candidate_set: CandidateSet, base: SelectionStep
+) -> Explanation:
+    """The explanation with the effects `found`, after the `base`."""
+    steps = [base, *steps_of(found, candidate_set)]
+    final = steps[-1]
+    claimed = tuple(effect for effect in final.effects if effect not in base.effects)
+    explained = found.check is None or found.check.passed
+    verdict = ("explained" if claimed else "adequate") if explained else "unexplained"
+    noise_floor = PoseError(
+        float(np.hypot(found.floor[0], found.floor[1])),
+        float(found.floor[2]),
+        "cameras and a random force" if found.world.has_force else "cameras",
+    )
+    share, explained_share = shares_of(steps)
+    return Explanation(
+        case,
+        noise,
+        tuple(steps),
+        verdict,
+        claimed if verdict == "explained" else (),
+        () if verdict == "explained" else claimed,
+        base.left_out,
+        None,
+        confidence={effect: found.confidence[effect].word for effect in found.effects},
+        share=share,
+        explained_share=explained_share,
+        floor=noise_floor,
+        remainder=_remainder(final, noise_floor),
+        candidates=_tried(found, steps),
+        constants=_constants(final),
+    )
+
+
+def shares_of(steps: Sequence[SelectionStep]) -> tuple[dict[str, float], float]:
+    """By effect the share of the squared error of the base that its step takes away, and that of all steps together.
+
+    The error is that of held-out runs, or of train runs where none is held out.
+    """
+    errors = [(step.heldout or step.train).misfit for step in steps]
+    share: dict[str, float] = {}
+    for step, before, after in zip(steps[1:], errors[:-1], errors[1:], strict=True):
+        share[step.name] = share.get(step.name, 0.0) + (before - after) / errors[0]
+    return share, (errors[0] - errors[-1]) / errors[0]
+
+
+def _remainder(final: SelectionStep, floor: PoseError) -> Remainder:
+    """What the final model leaves of unseen runs above the floor, in squares."""
+    judged = final.heldout or final.train
+    return Remainder(
+        float(np.sqrt(max(judged.position_m**2 - floor.position_m**2, 0.0))),
+        float(np.sqrt(max(judged.heading_rad**2 - floor.heading_rad**2, 0.0))),
+    )
+
+
+def _constants(final: SelectionStep) -> dict[str, Estimate]:
+    return {
+        name.removeprefix("board."): estimate for name, estimate in final.estimates.items() if name.startswith("board.")
+    }
+
+
+def _tried(found: Assessment, steps: Sequence[SelectionStep]) -> tuple[TriedCandidate, ...]:
+    """One row for each candidate beside each step."""
+    rows, linear = [], found.linear
+    shares, _ = shares_of(steps)
+    for number in range(len(found.effects) + 1):
+        here = found.effects[:number]
+        offset = len(steps) - 1 - len(found.effects)
+        for effect in linear.subsets.candidates:
+            if effect not in here:
+                row = _row(found, number + offset, here, effect)
+                # What was taken has been simulated; the others are known by the linear problem alone.
+                rows.append(row._replace(share=shares[effect]) if row.taken else row)
+    return tuple(rows)
+
+
+def _row(found: Assessment, number: int, here: tuple[str, ...], effect: str) -> TriedCandidate:
+    subsets = found.linear.subsets
+    best = subsets.with_effects([*here, effect])
+    fall = subsets.with_effects(here).chi2 - best.chi2
+    threshold = subsets.threshold(effect)
+    taken = effect in found.effects and found.effects.index(effect) == len(here)
+    twins = tuple(e for e in found.effects if effect in found.confidence[e].instead)
+    if taken:
+        why = f"taken: chi^2 falls by {fall:.4g}, by chance at most {threshold:.3g}"
+    elif effect in found.effects:
+        why = "taken in a later step"
+    elif twins:
+        why = f"these runs cannot tell it from {', '.join(twins)}"
+    elif fall >= threshold:
+        why = "the effects that were taken explain what it explains"
+    else:
+        why = f"refused: chi^2 falls by {fall:.3g}, by chance at most {threshold:.3g}"
+    p = min(1.0, subsets.p_value(effect, fall) * len(found.search.model.candidates))
+    gain = found.predicted.gain(here, effect)
+    return TriedCandidate(number, effect, gain.share, p, best.chi2 / found.predicted.samples, taken, why, twins)

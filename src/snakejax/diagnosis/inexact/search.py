@@ -1,0 +1,234 @@
+"""The search for the effects of an inexact model: linearise, estimate the discrepancy, choose effects, step, repeat.
+
+Each round costs one linearisation of all segments by all parameters; everything that is chosen is linear algebra on
+the Gram matrices of that round, and only the step that follows is nonlinear.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from snakejax.core.errors import FitError
+from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
+from snakejax.estimation.discrepancy.kalman import (
+    Discrepancy,
+    SegmentData,
+    gram_matrices,
+    moved_states,
+    segment_data,
+    smooth,
+)
+from snakejax.estimation.discrepancy.least_squares import Optimum, Prior
+from snakejax.estimation.discrepancy.segments import Segments
+from snakejax.estimation.discrepancy.strength import Scales, estimate_discrepancy
+
+from ..selection.criteria import CRITERIA, SelectionCriteria
+from .candidate_model import CandidateModel
+from .subsets import Subsets, best_subset, choose
+
+TYRE_ROUNDS = 2
+"""Rounds in which only the tyre and the constants move, beside a free force."""
+SEARCH_ROUNDS = 5
+"""Rounds in which effects are chosen anew."""
+REFIT_ROUNDS = 10
+"""Rounds of a fit of one set of effects, at most."""
+REVISIONS = 3
+"""How often a set that was fitted to the end is chosen again on its own Gram matrices, at most."""
+ROUGH, FINE = 8, 25
+"""Iterations of the discrepancy while the model still moves, and at the end."""
+ARRIVED = 0.3
+"""A fit has converged where its step is shorter than this many standard deviations (Mahalanobis distance)."""
+TYRE_STEP = 0.5
+"""Longest step of a tyre parameter in one round, in standard deviations of its prior; of others 1."""
+NEAREST = 0.25
+"""A parameter without a derivative at zero stays at least this share of its probe away from it."""
+
+
+class Point(NamedTuple):
+    """Where a fit stands: parameter `values` (P,), start states `z` (S, nz), `discrepancy`, and `effects` in it."""
+
+    values: np.ndarray
+    z: np.ndarray
+    discrepancy: Discrepancy
+    effects: tuple[str, ...]
+
+
+class Linear(NamedTuple):
+    """The problem linearised at `point`: `data` of the filter, `gram` (R, P + 1, P + 1) of each run under the
+    discrepancy of `point`, and `subsets` for choosing."""
+
+    point: Point
+    data: SegmentData
+    gram: np.ndarray
+    subsets: Subsets
+
+    @property
+    def optimum(self) -> Optimum:
+        """The optimum with the effects of the point."""
+        return self.subsets.with_effects(self.point.effects)
+
+    def under(self, discrepancy: Discrepancy) -> Subsets:
+        """The problem under another discrepancy."""
+        gram, _ = gram_matrices(self.data, discrepancy)
+        return self.subsets._replace(gram=gram.sum(axis=0))
+
+
+class Search(NamedTuple):
+    """What a search has at hand: the segments, the model of all candidates, the scales of the recording."""
+
+    segments: Segments
+    model: CandidateModel
+    scales: Scales
+    criteria: SelectionCriteria = CRITERIA
+    progress: Progress = no_progress
+
+    def prior_at(self, values: np.ndarray) -> Prior:
+        """The prior of a step from `values`."""
+        return Prior(self.segments.step_between(values, self.model.neutral), 1.0 / self.model.sd**2)
+
+    def subsets(self, values: np.ndarray, gram: np.ndarray) -> Subsets:
+        """The linear problem at `values` with the sum `gram` of the Gram matrices."""
+        model = self.model
+        low, high = (
+            self.segments.step_between(values, np.array([getattr(d, end) for d in self.segments.domains]))
+            for end in ("low", "high")
+        )
+        return Subsets(gram, model.always, model.candidates, self.prior_at(values), low, high, self.criteria)
+
+    def linearise(self, point: Point, free: np.ndarray | None = None, most: int = ROUGH) -> Linear:
+        """The problem linearised at `point`; its discrepancy is estimated in `most` iterations (0: kept) with the
+        parameters `free` (default: those of its effects)."""
+        data = self.data(point)
+        free = self.model.free(point.effects) if free is None else free
+        if most:
+            discrepancy, _ = estimate_discrepancy(
+                data, point.discrepancy, free, self.prior_at(point.values), self.scales, most
+            )
+            point = point._replace(discrepancy=discrepancy)
+        gram, _ = gram_matrices(data, point.discrepancy)
+        return Linear(point, data, gram, self.subsets(point.values, gram.sum(axis=0)))
+
+    def data(self, point: Point) -> SegmentData:
+        """The arrays of the filter at `point`. **Raises:** `FitError` where the simulation is not finite."""
+        at = self.segments.linearise(point.values, point.z)
+        if not all(np.isfinite(part).all() for part in at):
+            raise FitError("A simulation of a short segment is not finite; the parameters have left their range.")
+        return segment_data(self.segments.cut, at, point.z)
+
+    def stepped(self, linear: Linear, step: np.ndarray, effects: Sequence[str]) -> Point:
+        """The point after `step`, limited where it is long, with the start states that belong to it."""
+        model, values = self.model, linear.point.values
+        limit = model.sd.copy()
+        limit[list(model.tyre)] *= TYRE_STEP
+        new = self.segments.moved(values, np.clip(step, -limit, limit))
+        for effect, columns in model.candidates.items():
+            for k in columns:
+                if effect not in effects:
+                    new[k] = model.neutral[k]
+                elif k in model.probes:
+                    new[k] = max(new[k], NEAREST * model.probes[k])
+        taken = self.segments.step_between(values, new)
+        deviation = smooth(linear.data, linear.point.discrepancy, taken)
+        z = moved_states(self.segments.cut, linear.point.z, deviation)
+        return Point(new, z, linear.point.discrepancy, tuple(effects))
+
+    def begin(self) -> Point:
+        """The tyre and the constants fitted beside a free force; no effects."""
+        point = Point(self.model.neutral.copy(), self.segments.guess(), self.scales.first_guess(), ())
+        for _ in range(TYRE_ROUNDS):
+            linear = self.linearise(point)
+            point = self.stepped(linear, linear.optimum.step, ())
+        return point
+
+    def refit(self, point: Point, effects: Sequence[str], rounds: int = REFIT_ROUNDS, most: int = ROUGH) -> Linear:
+        """`effects` alone fitted to the end from `point`, and the problem linearised there."""
+        values = point.values.copy()
+        for effect, columns in self.model.candidates.items():
+            for k in columns:
+                if effect not in effects:
+                    values[k] = self.model.neutral[k]
+                elif k in self.model.probes and values[k] == self.model.neutral[k]:
+                    values[k] = self.model.probes[k]
+        point = point._replace(values=values, effects=tuple(effects))
+        linear = self.linearise(point, most=most)
+        share = 1.0
+        for _ in range(rounds):
+            before = distance(linear.optimum)
+            if before < ARRIVED:
+                break
+            linear = self.linearise(self.stepped(linear, share * linear.optimum.step, effects), most=most)
+            # Along a curved valley whole steps go to and fro.
+            share = 0.5 * share if distance(linear.optimum) > 0.5 * before else 1.0
+        return linear
+
+
+def distance(best: Optimum) -> float:
+    """The length of a step in standard deviations: sqrt(d^T covariance^-1 d)."""
+    step = best.step[list(best.free)]
+    return float(np.sqrt(max(step @ np.linalg.solve(best.covariance, step), 0.0)))
+
+
+def search_effects(search: Search) -> Linear:
+    """The set of effects that the recordings need, fitted to the end."""
+    search.progress(ProgressEvent(Phase.TYRE_BESIDE_FORCE))
+    point = search.begin()
+    point = _rounds(search, point)
+    for _ in range(REVISIONS):
+        search.progress(ProgressEvent(Phase.FITTING_EFFECTS))
+        linear = search.refit(point, point.effects, most=FINE)
+        again = choose(linear.subsets.without(_slopeless(search, linear.point)), linear.point.effects)
+        if set(again) == set(linear.point.effects):
+            return linear
+        point = linear.point._replace(effects=tuple(again))
+    return search.refit(point, point.effects, most=FINE)
+
+
+def _rounds(search: Search, point: Point) -> Point:
+    """The rounds in which effects are chosen anew."""
+    model = search.model
+    for k in range(SEARCH_ROUNDS):
+        search.progress(ProgressEvent(Phase.CHOOSING_EFFECTS, done=k + 1, total=SEARCH_ROUNDS))
+        every = np.arange(len(model.names)) if k == 1 else None
+        unfit = _slopeless(search, point)
+        linear = search.linearise(point, every)
+        effects = best_subset(linear.subsets.without(unfit), point.effects, all_at_once=k > 0)
+        best = linear.subsets.with_effects(effects)
+        arrived = set(effects) == set(point.effects) and distance(best) < ARRIVED
+        step, chosen = best.step, list(effects)
+        for effect in unfit if 1 <= k < SEARCH_ROUNDS - 1 else ():
+            value = _tested_beside(search, linear, chosen, effect)
+            if value is not None:
+                effects = [*effects, effect]
+                step[model.candidates[effect][0]] = value
+        point = search.stepped(linear, step, effects)
+        if any(effect in unfit for effect in effects):
+            point = point._replace(z=search.segments.with_steady_memories(point.values, point.z))
+        if arrived and k >= 2:
+            break
+    return point
+
+
+def _slopeless(search: Search, point: Point) -> list[str]:
+    """The absent candidates whose columns are zero because no derivative exists at their neutral value."""
+    model = search.model
+    return [
+        effect
+        for effect, columns in model.candidates.items()
+        if any(k in model.probes and point.values[k] == model.neutral[k] for k in columns)
+    ]
+
+
+def _tested_beside(search: Search, linear: Linear, effects: Sequence[str], effect: str) -> float | None:
+    """The value of an `effect` without a slope at neutral, from a linearisation beside it, where chi^2 falls by more
+    than its threshold against that *at* neutral; else None.
+    """
+    (column,) = search.model.candidates[effect]
+    values = linear.point.values.copy()
+    values[column] = search.model.probes[column]
+    z = search.segments.with_steady_memories(values, linear.point.z)
+    beside = search.linearise(linear.point._replace(values=values, z=z), most=0)
+    optimum = beside.subsets.with_effects([*effects, effect])
+    if not linear.subsets.with_effects(effects).chi2 - optimum.chi2 > beside.subsets.threshold(effect):
+        return None
+    return max(float(values[column] + optimum.step[column]), NEAREST * search.model.probes[column])

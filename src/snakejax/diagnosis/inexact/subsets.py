@@ -1,0 +1,133 @@
+"""Which effects are there, from Gram matrices alone: pruning, forward selection, exchange, runs left out."""
+
+from collections import OrderedDict
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from snakejax.estimation.discrepancy.least_squares import Optimum, Prior, optimum, quadratic
+
+from ..selection.criteria import CRITERIA, SelectionCriteria
+
+MOST_CHANGES = 10
+"""Rounds in which effects are put back and pruned again, at most."""
+
+
+class Subsets(NamedTuple):
+    """The linear problem of which effects to take.
+
+    `gram` (P + 1, P + 1); the parameters that are `always` free and those of each of the `candidates`; their `prior`,
+    whose mean is the step to the neutral value; the steps (P,) to the lowest and to the highest value.
+    """
+
+    gram: np.ndarray
+    always: tuple[int, ...]
+    candidates: OrderedDict[str, tuple[int, ...]]
+    prior: Prior
+    low: np.ndarray
+    high: np.ndarray
+    criteria: SelectionCriteria = CRITERIA
+
+    def with_effects(self, effects: Iterable[str], gram: np.ndarray | None = None) -> Optimum:
+        """The optimum with `effects`, all other candidates at their neutral value."""
+        effects = list(effects)
+        fixed = np.zeros(len(self.low))
+        for effect, columns in self.candidates.items():
+            if effect not in effects:
+                fixed[list(columns)] = self.prior.mean[list(columns)]
+        free = [*self.always, *(k for effect in effects for k in self.candidates[effect])]
+        return optimum(self.gram if gram is None else gram, free, self.prior, fixed, self.low, self.high)
+
+    def without(self, effects: Iterable[str]) -> "Subsets":
+        """The problem without some of its candidates."""
+        barred = set(effects)
+        kept = OrderedDict((effect, columns) for effect, columns in self.candidates.items() if effect not in barred)
+        return self._replace(candidates=kept)
+
+    def threshold(self, effect: str) -> float:
+        """The fall of chi^2 that an effect brings by chance at the level of the criteria over all candidates."""
+        level = self.criteria.significance_level / self.criteria.nominal_candidates
+        return float(stats.chi2.isf(level, len(self.candidates[effect])))
+
+    def p_value(self, effect: str, fall: float) -> float:
+        """The probability of such a `fall` of chi^2 by chance, for one candidate; 1 where it is not a number."""
+        return float(stats.chi2.sf(max(fall, 0.0), len(self.candidates[effect]))) if np.isfinite(fall) else 1.0
+
+    def penalised(self, effects: Iterable[str]) -> float:
+        """chi^2 with `effects` plus the threshold of each."""
+        effects = list(effects)
+        return self.with_effects(effects).chi2 + sum(self.threshold(effect) for effect in effects)
+
+
+def falls(problem: Subsets, effects: Iterable[str]) -> dict[str, float]:
+    """By how much chi^2 rises where each of `effects` is taken out and all else is fitted again."""
+    effects = list(effects)
+    full = problem.with_effects(effects).chi2
+    return {e: problem.with_effects([other for other in effects if other != e]).chi2 - full for e in effects}
+
+
+def gains(problem: Subsets, effects: Iterable[str]) -> dict[str, float]:
+    """By how much chi^2 falls where each absent candidate is added to `effects`."""
+    effects = list(effects)
+    now = problem.with_effects(effects).chi2
+    return {e: now - problem.with_effects([*effects, e]).chi2 for e in problem.candidates if e not in effects}
+
+
+def prune(problem: Subsets, effects: Iterable[str]) -> list[str]:
+    """Backward elimination: the effect of least evidence is dropped until each is above its threshold."""
+    effects = list(effects)
+    while effects:
+        lost = falls(problem, effects)
+        worst = max(effects, key=lambda effect: (problem.p_value(effect, lost[effect]), -lost[effect]))
+        if lost[worst] >= problem.threshold(worst):
+            break
+        effects.remove(worst)
+    return effects
+
+
+def choose(problem: Subsets, start: Iterable[str]) -> list[str]:
+    """`start` pruned; then the best absent candidate is added and the set pruned again, until nothing changes."""
+    effects = prune(problem, start)
+    for _ in range(MOST_CHANGES):
+        gained = gains(problem, effects)
+        best = min(gained, key=lambda effect: (problem.p_value(effect, gained[effect]), -gained[effect]), default=None)
+        if best is None or not gained[best] >= problem.threshold(best):
+            return effects
+        changed = prune(problem, [*effects, best])
+        if set(changed) == set(effects):
+            return effects
+        effects = changed
+    return effects
+
+
+def best_subset(problem: Subsets, last: Iterable[str], *, all_at_once: bool) -> list[str]:
+    """The best of three searches: forward from nothing, the `last` set, and `all_at_once` every candidate pruned.
+
+    Far from the optimum all candidates together lead astray; near it forward selection alone misses effects that act
+    together.
+    """
+    searches = [choose(problem, []), choose(problem, last)]
+    if all_at_once:
+        searches.append(choose(problem, problem.candidates))
+    return min(searches, key=problem.penalised)
+
+
+def substitutes(problem: Subsets, effects: Iterable[str], effect: str) -> dict[str, float]:
+    """By how much chi^2 rises where each absent candidate takes the place of `effect`."""
+    effects = list(effects)
+    now, rest = problem.with_effects(effects).chi2, [other for other in effects if other != effect]
+    absent = [name for name in problem.candidates if name not in effects]
+    return {other: problem.with_effects([*rest, other]).chi2 - now for other in absent}
+
+
+def left_out_errors(problem: Subsets, fitted: np.ndarray, judged: np.ndarray, effects: Iterable[str]) -> np.ndarray:
+    """The squared error (R,) of each run under parameters from the other runs.
+
+    `fitted` (R, P + 1, P + 1) are the Gram matrices of which the parameters are estimated, `judged` those in which the
+    error is measured.
+    """
+    effects, total = list(effects), fitted.sum(axis=0)
+    steps = [problem.with_effects(effects, total - one).step for one in fitted]
+    return np.array([quadratic(gram, step) for gram, step in zip(judged, steps, strict=True)])

@@ -1,0 +1,98 @@
+"""How the windows of a board that is driven by a free force change with its knots."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from snakejax.core.parameter import with_parameters
+from snakejax.dynamics.contact import slip_angle
+from snakejax.dynamics.model import Model
+from snakejax.estimation.batch import Batch
+from snakejax.estimation.least_squares import Variables, domains_of, retract
+from snakejax.simulation.integrate import Accuracy, motions, simulate
+
+from .piecewise_force import SPACING, FreeForce, FreeGrip
+
+ACCURACY = Accuracy(rtol=1e-6, atol=1e-8, max_steps=6000, derivative="forward")
+"""Finer than windows otherwise need: the steps of the solver must not jump over a knot."""
+
+
+class MotionSamples(NamedTuple):
+    """How the board moves at every sample of every window, each (W, n); the wheelsets ahead of the middle first."""
+
+    time: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    theta: np.ndarray
+    heading: np.ndarray
+    u: np.ndarray
+    w: np.ndarray
+    r: np.ndarray
+    steering_angle: np.ndarray
+    steering_rate: np.ndarray
+    rotor_angle: np.ndarray
+    rotor_rate: np.ndarray
+    slip: tuple[np.ndarray, np.ndarray]
+    """Lateral slip speed [m/s]."""
+    angle: tuple[np.ndarray, np.ndarray]
+    """Slip angle [rad]."""
+
+
+class ForceLinearisation(NamedTuple):
+    """Residuals (W, n, 3) and their derivatives by parameters, start states, force and grip knots, and the motion."""
+
+    residual: np.ndarray
+    by_parameters: np.ndarray
+    by_start: np.ndarray
+    by_force: np.ndarray
+    by_grip: np.ndarray
+    track: MotionSamples
+
+
+@eqx.filter_jit
+def linearise_in_force(model: Model, at: Variables, batch: Batch, grid, knots):
+    """Everything at one point, window by window: `grid` (W,) is the time of the first knot, `knots` (W, K, 3)."""
+    domains = domains_of(model, at.names)
+    P, S, K = len(at.names), at.start.shape[1], knots.shape[1]
+    size = P + S + 5 * K
+
+    def window(arrays):
+        piece, start, free, first, force = arrays
+
+        def residual(z):
+            p, s, f, g = jnp.split(z, (P, P + S, P + S + 3 * K))
+            values = retract(domains, at, p)
+            at_values = with_parameters(model, {name: values[k] for k, name in enumerate(at.names)})
+            h = jnp.asarray(SPACING)
+            driven = at_values.with_traced_payload(piece.payload).add(
+                free_force=FreeForce(first, h, force + f.reshape(K, 3)), free_grip=FreeGrip(first, h, g.reshape(K, 2))
+            )
+            how = {"accuracy": ACCURACY, "throw": False, "resting": piece.resting}
+            path = simulate(driven, piece.gait, piece.times, start + free * s, **how)
+            weighted = jnp.where(piece.weight > 0, (piece.pose - path.pose) * piece.weight, 0.0)
+            return weighted, _track(driven, piece.gait, path)
+
+        def along(direction):
+            return jax.jvp(residual, (jnp.zeros(size),), (direction,), has_aux=True)
+
+        r, J, track = jax.vmap(along, out_axes=(None, -1, None))(jnp.eye(size))
+        return r, J, track
+
+    return jax.lax.map(window, (batch, at.start, at.free_start, grid, knots))
+
+
+def _track(model: Model, gait, path) -> MotionSamples:
+    motion, _ = motions(model, gait, path)
+    creep = model.board.creep_speed
+    places = [wheelset.place > 0 for wheelset in model.board.wheelsets]
+    pairs = [(w.lateral, slip_angle(w.lateral, w.rolling, creep)) for w in motion.wheels]
+    sides = []
+    for ahead in (True, False):
+        on_side = [pair for pair, place in zip(pairs, places, strict=True) if place == ahead] or pairs
+        sides.append([sum(parts) / len(on_side) for parts in zip(*on_side, strict=True)])
+    joints = (motion.steering.angle, motion.steering.rate, motion.rotor.angle, motion.rotor.rate)
+    place = (motion.time, motion.x, motion.y, motion.theta, motion.heading, motion.u, motion.w, motion.r)
+    return MotionSamples(*place, *joints, (sides[0][0], sides[1][0]), (sides[0][1], sides[1][1]))

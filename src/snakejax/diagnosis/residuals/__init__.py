@@ -1,0 +1,1 @@
+"""What a fitted model leaves: when, where, and with what it goes."""

@@ -1,0 +1,153 @@
+"""What a fitted model does in each recorded run, beside what was seen: the material of every comparison and picture."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from snakejax.core.periodogram import fundamental_frequency
+from snakejax.dynamics.contact import Motion, slip_angle
+from snakejax.dynamics.model import Model
+from snakejax.dynamics.vehicle import AbstractVehicle
+from snakejax.estimation.batch import batch
+from snakejax.estimation.fit_record import Fit
+from snakejax.estimation.fitted_model import FittedModel
+from snakejax.estimation.replay import ACCURACY, batch_of_runs
+from snakejax.recording.run import Run
+from snakejax.simulation.integrate import motions, simulate
+
+
+class ResidualSeries(NamedTuple):
+    """The residual of one run: `residual` (n, 3) in standard deviations `sd` [m, m, rad], NaN where nothing was seen.
+
+    `variables`, each (n,): what the fitted model does meanwhile.
+    """
+
+    run: str
+    role: str
+    times: Float[np.ndarray, " n"]
+    residual: Float[np.ndarray, "n 3"]
+    sd: Float[np.ndarray, "3"]
+    variables: dict[str, Float[np.ndarray, " n"]]
+
+
+class RunReplay(NamedTuple):
+    """One run as recorded and as simulated.
+
+    `track`, the residual. `measured` (n, 3), the recorded x [m], y [m] and heading [rad], NaN where lost; `pose` (n,
+    3), the modelled ones. Of each of W wheelsets, (n, W): `steered` [rad], how it stands to the board, positive to
+    the left; `slip_speed` [m/s]; `slip` [rad], its slip angle; `force` [N], the traction against it. `rotor` (n,)
+    [rad]. `skid_angle` (n,) [rad], the heading less the angle of the frame that forces are counted in (beta of
+    `Coupled`). `states`: the state of the model at every sample, as `Model.rates` takes it.
+    """
+
+    track: ResidualSeries
+    measured: Float[np.ndarray, "n 3"]
+    pose: Float[np.ndarray, "n 3"]
+    steered: Float[np.ndarray, "n W"]
+    rotor: Float[np.ndarray, " n"]
+    slip_speed: Float[np.ndarray, "n W"]
+    slip: Float[np.ndarray, "n W"]
+    force: Float[np.ndarray, "n W"]
+    skid_angle: Float[np.ndarray, " n"]
+    states: Any
+
+    @property
+    def run(self) -> str:
+        """The name of the run."""
+        return self.track.run
+
+    @property
+    def role(self) -> str:
+        """Whether the run was fitted: "train" or "heldout"."""
+        return self.track.role
+
+    @property
+    def times(self) -> Float[np.ndarray, " n"]:
+        """The time of each sample [s]."""
+        return self.track.times
+
+
+def replay_runs(fitted: FittedModel) -> tuple[RunReplay, ...]:
+    """Every recording of `fitted` from its fitted start, train runs first."""
+    stacked, sd = batch(fitted.recordings, fitted.noise), np.asarray(fitted.noise.channels)
+    scenes = []
+    for k in (*fitted.numbered("train"), *fitted.numbered("heldout")):
+        one = jax.tree.map(lambda leaf, k=k: leaf[k], stacked)
+        played = _played(fitted.model, one, fitted.starts[k], fitted.accuracy)
+        scenes.append(_dressed(fitted.recordings[k], played, fitted.residuals[k], sd, fitted.model.board))
+    return tuple(scenes)
+
+
+def replay_fit(found: Fit) -> tuple[RunReplay, ...]:
+    """Every run of a fit, train runs first."""
+    return replay_runs(found.fitted)
+
+
+def replay_model(model: Model, runs: Sequence[Run], starts: Float[np.ndarray, "R S"]) -> tuple[RunReplay, ...]:
+    """Every one of `runs` as `model` plays it from its start; residuals in m and rad, NaN where nothing was seen."""
+    block = batch_of_runs(runs, starts)
+    made = []
+    for k, (run, start) in enumerate(zip(runs, np.asarray(starts, float), strict=True)):
+        played = _played(model, jax.tree.map(lambda leaf, k=k: leaf[k], block), start, ACCURACY)
+        residual = np.asarray(run.pose) - np.asarray(played[2])[: run.times.shape[0]]
+        made.append(_dressed(run, played, residual, np.ones(3), model.board))
+    return tuple(made)
+
+
+def _dressed(run: Run, played: Any, residual: np.ndarray, sd: np.ndarray, board: AbstractVehicle) -> RunReplay:
+    n = run.times.shape[0]
+    motion, force, pose, states = jax.tree.map(lambda leaf: np.asarray(leaf)[:n], played)
+    track = ResidualSeries(run.name, run.role, np.asarray(run.times), residual, sd, _named(motion))
+    wheels = motion.wheels
+    speed = np.stack([wheel.lateral for wheel in wheels], axis=1)
+    rolling = np.stack([wheel.rolling for wheel in wheels], axis=1)
+    return RunReplay(
+        track,
+        np.where(np.isfinite(np.asarray(run.pose)).all(axis=1, keepdims=True), np.asarray(run.pose), np.nan),
+        pose,
+        np.stack([wheel.joint.angle for wheel in wheels], axis=1),
+        motion.rotor.angle,
+        speed,
+        np.asarray(slip_angle(speed, rolling, board.creep_speed)),
+        np.stack(force, axis=1),
+        motion.heading - motion.theta,
+        states,
+    )
+
+
+@eqx.filter_jit
+def _played(model, batch, start, accuracy):
+    model = model.with_traced_payload(batch.payload)
+    done = simulate(model, batch.gait, batch.times, start, accuracy=accuracy, resting=batch.resting)
+    motion, force = motions(model, batch.gait, done)
+    return motion, force, done.pose, done.state
+
+
+def _named(motion: Motion) -> dict[str, np.ndarray]:
+    """The variables by name; SI units and radians."""
+    ends = ("front", "back") if len(motion.wheels) == 2 else range(len(motion.wheels))
+    return {
+        "gait_phase": gait_phase(motion.time, motion.steering.angle, motion.rotor.angle),
+        **{f"slip_{end}": wheel.lateral for end, wheel in zip(ends, motion.wheels, strict=True)},
+        "speed": np.hypot(motion.u, motion.w),
+        "x": motion.x,
+        "y": motion.y,
+        "heading": motion.heading,
+        "steering_angle": motion.steering.angle,
+        "steering_rate": motion.steering.rate,
+        "rotor_angle": motion.rotor.angle,
+        "rotor_rate": motion.rotor.rate,
+        "time": motion.time,
+    }  # type: ignore[return-value]
+
+
+def gait_phase(times: np.ndarray, *joints: np.ndarray) -> np.ndarray:
+    """w t modulo 2 pi [rad], w the frequency at which the first of `joints` that moves swings most; 0 where none."""
+    for angle in joints:
+        if np.ptp(angle) > 1e-9:
+            return np.mod(fundamental_frequency(times, angle) * times, 2 * np.pi)
+    return np.zeros_like(times)

@@ -1,0 +1,1 @@
+"""Which effects to add: score tests, screening, forward selection, backward elimination."""

@@ -1,0 +1,152 @@
+"""What each candidate promises, by its score and on short windows."""
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
+from snakejax.estimation.multiple_shooting import WindowSolution, linearise_windows
+from snakejax.estimation.problem import DEPENDENT
+from snakejax.estimation.sensitivity import Sensitivities
+
+from .candidates import WORKERS, CandidateFit, CandidateSet
+from .criteria import SelectionCriteria
+from .score_test import ScoreTest, projected, score, significant_alone, tested
+
+
+class ScreenedCandidate(NamedTuple):
+    """A candidate as its score sees it: where to start its refit, and the misfit to expect once it is in.
+
+    All of it but the correction of the p-value for their number is a matter of the recordings, the base and this
+    candidate: which others there are changes nothing. `start`: where the windows start with it, if they have settled.
+    """
+
+    score: ScoreTest
+    values: dict[str, float]
+    misfit: float
+    start: np.ndarray | None = None
+
+
+def window_sensitivities(
+    candidate_set: CandidateSet, values: Mapping[str, float], start: np.ndarray, windows: bool
+) -> Sensitivities:
+    """Every candidate beside the model at `values`, on `windows` or on whole train runs."""
+    problem = candidate_set.windows.problem if windows else candidate_set.problem
+    runs = tuple(range(len(problem.runs)) if windows else candidate_set.train)
+    return Sensitivities(problem, runs, values, start, linearise_windows(problem, values, start, runs))
+
+
+def screen_candidates(
+    candidate_set: CandidateSet, step: CandidateFit, progress: Progress = no_progress
+) -> list[ScreenedCandidate]:
+    """The candidates beside `step`, the most promising first.
+
+    Near the noise whole runs are scored. Further off windows are, after the fitted parameters have settled on them; and
+    each candidate that promises much settles there too, with its own parameters free, so that their order does not rest
+    on a linear model.
+    """
+    remaining = {name: parts for name, parts in candidate_set.candidates.items() if name not in step.effects}
+    fitted = [name for name in candidate_set.free(step.effects) if name not in step.solution.held]
+    near = step.solution.misfit < candidate_set.criteria.linear_misfit
+    if near:
+        values, start = step.solution.values, step.solution.start
+    else:
+        progress(ProgressEvent(Phase.SCREENING))
+        settled = _settled(candidate_set, step, fitted)
+        values, start = settled.values, settled.start
+    sensitivities = window_sensitivities(candidate_set, values, start, not near)
+    scores, chi2, dof = tested(sensitivities, fitted, remaining, candidate_set.probes(), candidate_set.criteria)
+    screened = [ScreenedCandidate(s, {**values, **s.values}, max(chi2 - s.reduction, 0.0) / dof) for s in scores]
+    if near:
+        return screened
+    return _refit_on_windows(candidate_set, screened, _WindowBase(fitted, values, start, chi2 / dof, dof), progress)
+
+
+class _WindowBase(NamedTuple):
+    """The model without the candidates on the windows: `fitted` parameters, `values`, `start` states (W, S), `misfit`
+    and its degrees of freedom `dof`.
+    """
+
+    fitted: Sequence[str]
+    values: Mapping[str, float]
+    start: np.ndarray
+    misfit: float
+    dof: int
+
+
+def _settled(candidate_set: CandidateSet, step: CandidateFit, fitted: Sequence[str]) -> WindowSolution:
+    """The fitted parameters on the windows, from where they are and from where the tyre began."""
+    fresh = {**step.solution.values, **{n: candidate_set.problem.values()[n] for n in candidate_set.tyre}}
+    with ThreadPoolExecutor(WORKERS) as pool:
+        both = pool.map(
+            lambda values: candidate_set.windows.settle(values, fitted, rounds=15), (step.solution.values, fresh)
+        )
+    return min(both, key=lambda s: s.cost)
+
+
+def _refit_on_windows(
+    candidate_set: CandidateSet, screened: Sequence[ScreenedCandidate], base: _WindowBase, progress: Progress
+) -> list[ScreenedCandidate]:
+    """`screened`, with those that promise much, and those without a derivative at zero, fitted to the windows; these
+    come first.
+    """
+    criteria = candidate_set.criteria
+    without_slope = {name.split(".")[1] for name in candidate_set.probes()}
+    chosen = [
+        c for c in screened if c.score.effect in without_slope or _promises(c.score, base.misfit, base.dof, criteria)
+    ]
+    progress(ProgressEvent(Phase.SCREENING_CANDIDATES, f"settling {len(chosen)} candidates on windows"))
+
+    def settle(candidate: ScreenedCandidate) -> ScreenedCandidate:
+        effect, parts = candidate.score.effect, candidate_set.candidates[candidate.score.effect]
+        # From where the others have settled, so that all move together; only what has no slope at zero starts off it.
+        at = {n: candidate_set.off_zero(n, base.values[n]) if n in parts else base.values[n] for n in candidate.values}
+        best = candidate_set.windows.settle(at, [*base.fitted, *parts], base.start, rounds=25)
+        misfit = best.cost / base.dof
+        if misfit > base.misfit:
+            return candidate._replace(misfit=base.misfit)
+        sd = candidate.score.sd | _sd_at(candidate_set, best, base.fitted, effect)
+        scored = candidate.score._replace(values={n: best.values[n] for n in parts}, sd=sd)
+        if effect in without_slope:
+            scored = _surer(scored, base.misfit * base.dof - best.cost, misfit, len(screened), criteria)
+        return ScreenedCandidate(scored, best.values, misfit, best.start)
+
+    with ThreadPoolExecutor(WORKERS) as pool:
+        refitted = sorted(pool.map(settle, chosen), key=lambda c: c.misfit)
+    done = {c.score.effect for c in refitted}
+    return [*refitted, *(c for c in screened if c.score.effect not in done)]
+
+
+def _promises(scored: ScoreTest, misfit: float, dof: int, criteria: SelectionCriteria) -> bool:
+    """Whether a candidate is significant by itself and would lower the excess of `misfit` over noise enough to help."""
+    return (
+        significant_alone(scored, criteria)
+        and scored.reduction > criteria.least_excess_share * max(misfit - 1, 0.0) * dof
+    )
+
+
+def _sd_at(
+    candidate_set: CandidateSet, settled: WindowSolution, fitted: Sequence[str], effect: str
+) -> dict[str, float]:
+    """The standard errors of the parameters of `effect` where the windows have `settled` with it."""
+    problem, parts = candidate_set.windows.problem, candidate_set.candidates[effect]
+    runs = tuple(range(len(problem.runs)))
+    rest = projected(Sensitivities(problem, runs, settled.values, settled.start, settled.linearised))
+    names, values = [*fitted, *parts], settled.values
+    scored = score(problem.model, names, rest, fitted, {effect: parts}, values, candidate_set.criteria)
+    return scored[0].sd if scored else {}
+
+
+def _surer(scored: ScoreTest, fall: float, misfit: float, family: int, criteria: SelectionCriteria) -> ScoreTest:
+    """`scored` with the evidence of a fit to the windows that lowered chi^2 by `fall` to `misfit`, where it is the
+    stronger: a candidate without a slope at its neutral value has no score there. Errors that are more than noise
+    depend on each other. The p-value is corrected for the `family` of candidates.
+    """
+    statistic = fall / (max(misfit, 1.0) * (1.0 if misfit < criteria.close_windows_misfit else DEPENDENT))
+    if statistic <= scored.statistic:
+        return scored
+    p_value = min(1.0, family * float(stats.chi2.sf(statistic, len(scored.values))))
+    return scored._replace(statistic=statistic, p_value=min(p_value, scored.p_value))

@@ -1,0 +1,117 @@
+"""One step of an explanation as plain data: the model after it, how it fares, and the candidates beside it."""
+
+import dataclasses
+from typing import Any
+
+from snakejax.core.tabular import Tabular, three_digits
+from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
+from snakejax.dynamics.model import Model
+from snakejax.estimation.fitted_model import FittedModel
+from snakejax.estimation.goodness_of_fit import RunScore, Score
+from snakejax.estimation.uncertainty import Estimate
+
+from .criteria import CRITERIA, SelectionCriteria
+
+SWITCH_DESCRIPTION = "Each wheelset slips separately."
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class CandidateScore:
+    """One candidate effect beside a model: what it promises, and what its refit leaves where there was one.
+
+    `p_value` is corrected for the number of candidates; `statistic`: that of its test. `predicted_misfit`: by the
+    linear model, of whole runs or of short windows. `estimate`: the values expected of its parameters, by their short
+    names, and `refit_estimate` those of its refit; `detectable`: the smallest values that these runs would reveal.
+    `confusable_with`: the candidates that these runs cannot tell from it. `failed`: its refit ended further off than
+    the model without it, and says nothing; `converged`: whether its refit has, None where there was none.
+    `of_measurement`: it is an error of the measurement, not of the vehicle.
+    """
+
+    effect: str
+    description: str = ""
+    p_value: float | None = None
+    statistic: float | None = None
+    predicted_misfit: float | None = None
+    refit_misfit: float | None = None
+    estimate: dict[str, Estimate] = dataclasses.field(default_factory=dict)
+    refit_estimate: dict[str, Estimate] | None = None
+    detectable: dict[str, float] = dataclasses.field(default_factory=dict)
+    confusable_with: tuple[str, ...] = ()
+    failed: bool = False
+    converged: bool | None = None
+    of_measurement: bool = False
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class SelectionStep(Tabular):
+    """The model after one step, and how it fares.
+
+    `change`: "base", or that `name` was "added" or "dropped"; `effects`: those in the model, `lateral_skid` among them
+    where the structure was changed. `fitted`: the model in all runs. `train`, `heldout` (None where no run is held
+    out) and `runs`: its scores; held-out runs are opened once for each step. `estimates` by parameter name.
+    `converged`: whether its fit has, or stands where no value would move by a standard error. `ranking`: the candidates
+    beside it, the best first; `left_out`: those that were not ranked, with the reason: they do not apply, or these runs
+    do not show them. `criteria`: those of every decision on it.
+    """
+
+    change: str
+    name: str
+    effects: tuple[str, ...]
+    fitted: FittedModel
+    train: Score
+    heldout: Score | None
+    runs: tuple[RunScore, ...]
+    estimates: dict[str, Estimate]
+    converged: bool
+    ranking: tuple[CandidateScore, ...] = ()
+    left_out: dict[str, str] = dataclasses.field(default_factory=dict)
+    criteria: SelectionCriteria = CRITERIA
+
+    @property
+    def title(self) -> str:
+        """`base`, `added ground_slope`, `dropped rotor_lag`."""
+        return f"{self.change} {self.name}".strip()
+
+    def headline(self) -> str:
+        """The change, the error in multiples of the noise, and the best candidate beside it."""
+        unseen = "" if self.heldout is None else f", {three_digits(self.heldout.times_noise)} held out"
+        doubt = "" if self.converged else "; did not converge"
+        best = f"; {self.ranking[0].effect} first of {len(self.ranking)} candidates" if self.ranking else ""
+        return f"{self.title}; {three_digits(self.train.times_noise)} times the noise{unseen}{doubt}{best}"
+
+    def columns(self) -> dict[str, list[Any]]:
+        """A row for each candidate beside it, the best first."""
+        rows = self.ranking
+        return {
+            "effect": [row.effect for row in rows],
+            "p_value": [row.p_value for row in rows],
+            "statistic": [row.statistic for row in rows],
+            "predicted_misfit": [row.predicted_misfit for row in rows],
+            "refit_misfit": [row.refit_misfit for row in rows],
+            "converged": [row.converged for row in rows],
+            "expected": [", ".join(f"{name} = {e}" for name, e in row.estimate.items()) for row in rows],
+            "confusable_with": [", ".join(row.confusable_with) for row in rows],
+        }
+
+    @property
+    def model(self) -> Model:
+        """The fitted model, with the effects of this step alone."""
+        return self.fitted.model
+
+    @property
+    def predicted_of_runs(self) -> bool:
+        """Whether `predicted_misfit` of its candidates is that of whole runs; else it is that of short windows."""
+        return self.train.misfit < self.criteria.linear_misfit
+
+    def estimates_of(self, effect: str) -> dict[str, Estimate]:
+        """The estimates of the parameters of one of its effects, by their short names; none for `lateral_skid`."""
+        start = f"effects.{effect}."
+        return {n.removeprefix(start): e for n, e in self.estimates.items() if n.startswith(start)}
+
+    def description_of(self, effect: str) -> str:
+        """The description of one of its effects or candidates."""
+        if effect == LATERAL_SLIP_SWITCH:
+            return SWITCH_DESCRIPTION
+        if effect in self.model.effects:
+            return self.model.effects[effect].description
+        return next((row.description for row in self.ranking if row.effect == effect), "")

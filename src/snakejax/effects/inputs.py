@@ -1,0 +1,103 @@
+"""Effects between command and wheel angle: lag, gain, backlash and offset."""
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from snakejax.core.parameter import Scalar, param
+from snakejax.dynamics.inputs import Gait
+from snakejax.dynamics.ports import InputModifier, Linkage
+from snakejax.dynamics.signals import Delayed, Joint, Scaled
+from snakejax.dynamics.vehicle import Wheelset
+
+
+def _on_steering(gait: Gait, change) -> Gait:
+    back = None if gait.phi_back is None else change(gait.phi_back)
+    return Gait(change(gait.phi), gait.psi, back)
+
+
+class SteeringLag(InputModifier):
+    """phi(t) = phi_command(t - T), zero before t = T."""
+
+    description = "The steering answers its command late."
+    T: Scalar = param("s", low=0.0, default=0.0)
+
+    def gait(self, gait: Gait) -> Gait:
+        return _on_steering(gait, lambda signal: Delayed(signal, self.T))
+
+
+class RotorLag(InputModifier):
+    """psi(t) = psi_command(t - T), zero before t = T."""
+
+    description = "The rotor answers its command late."
+    T: Scalar = param("s", low=0.0, default=0.0)
+
+    def gait(self, gait: Gait) -> Gait:
+        return eqx.tree_at(lambda g: g.psi, gait, Delayed(gait.psi, self.T))
+
+
+class SteeringGain(InputModifier):
+    """phi = (1 + g) phi_command."""
+
+    description = "The steering turns further than commanded, or less far."
+    g: Scalar = param("-", default=0.0)
+
+    def gait(self, gait: Gait) -> Gait:
+        return _on_steering(gait, lambda signal: Scaled(signal, 1 + self.g))
+
+
+class RotorGain(InputModifier):
+    """psi = (1 + g) psi_command."""
+
+    description = "The rotor turns further than commanded, or less far."
+    equivalent_constant: ClassVar[dict[str, str]] = {"g": "rotor_inertia"}
+
+    g: Scalar = param("-", default=0.0)
+
+    def gait(self, gait: Gait) -> Gait:
+        return eqx.tree_at(lambda g: g.psi, gait, Scaled(gait.psi, 1 + self.g))
+
+
+class SteeringBacklash(Linkage):
+    """Smooth dead zone: wheel angle = phi - b tanh(phi / b); wheel angle = phi for b = 0."""
+
+    description = "The steering has play: small joint angles do not reach the wheels."
+    stage: ClassVar[int] = 0
+    secant_step: ClassVar[dict[str, float]] = {"b": 0.02}
+    b: Scalar = param("rad", low=0.0, default=0.0)
+
+    def steer(self, joint: Joint, wheelset: Wheelset) -> Joint:
+        del wheelset
+        has_play = self.b > 0
+        b = jnp.where(has_play, self.b, 1.0)
+        saturation = jnp.tanh(joint.angle / b)
+        slope = saturation**2
+        curvature = 2 * saturation * (1 - slope) / b
+        changed = Joint(
+            joint.angle - b * saturation,
+            slope * joint.rate,
+            slope * joint.acceleration + curvature * joint.rate**2,
+        )
+        return Joint(*(jnp.where(has_play, new, old) for new, old in zip(changed, joint, strict=True)))
+
+
+class SteeringOffset(Linkage):
+    """phi_front += o, phi_back -= o: with centred steering the board drives a curve."""
+
+    description = "The steering is not centred: straight ahead is a curve."
+    o: Scalar = param("rad", default=0.0)
+
+    def steer(self, joint: Joint, wheelset: Wheelset) -> Joint:
+        return joint._replace(angle=joint.angle + wheelset.steering * self.o)
+
+
+class SteeringCrab(Linkage):
+    """phi_front += o, phi_back += o: the board drives at an angle to its axis."""
+
+    description = "Both wheelsets are turned the same way: the board crabs."
+    o: Scalar = param("rad", default=0.0)
+
+    def steer(self, joint: Joint, wheelset: Wheelset) -> Joint:
+        del wheelset
+        return joint._replace(angle=joint.angle + self.o)

@@ -1,0 +1,12 @@
+from .fit_record import Fit as Fit
+from .fitted_model import FittedModel as FittedModel
+from .fitting import fit as fit
+from .initial_model import default_free as default_free
+from .initial_model import select_parameters as select_parameters
+from .initial_model import starting_model as starting_model
+from .joint_logs.fitting import fit_logged as fit_logged
+from .posterior import posterior_samples as posterior_samples
+from .problem import Problem as Problem
+from .problem import Solution as Solution
+from .profile_likelihood import profile as profile
+from .uncertainty import Estimate as Estimate

@@ -1,0 +1,297 @@
+"""Recorded runs cut into short segments, each with its own start state and a constant force beside the model.
+
+The state z of a segment is (body state, memories of the effects, force): with p the parameters in the coordinates that
+a fit moves, sample j of segment k and the start of the next segment are
+
+    y_j     = h_j(z_k, p)           j = 1..n
+    z_(k+1) = F_k(z_k, p)           body and memories; the force (X, Y, N) is a random process, see `kalman`
+
+Segments are short, so that h and F are nearly linear in z and p even where the model is far from the recording.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from snakejax.core.errors import FitError
+from snakejax.core.parallel import cores
+from snakejax.core.parameter import Scalar, param, parameters, with_parameters
+from snakejax.dynamics.contact import Motion, Wrench
+from snakejax.dynamics.model import Model
+from snakejax.dynamics.ports import Force
+from snakejax.recording.run import Run
+
+from ..batch import stacked_gaits
+from ..multiple_shooting import initial_states
+
+LENGTH = 0.25
+"""Length of a segment [s]: the force may change from one to the next. Tyres let a sideways velocity decay within a
+fifth of that, and the forces that a model lacks change with the gait, over seconds."""
+FEWEST = 3
+"""Least number of samples of a segment."""
+CHUNK = 48
+"""Segments that are integrated side by side; one compiled program serves every recording."""
+LARGEST_STEP = 2.5e-3
+"""Largest step [s] of the Runge-Kutta method of order 4: its error is then below 1e-7 m over a segment."""
+STABLE = 1.5
+"""Largest product of step and fastest rate of decay. The method is stable up to 2.78; the remainder is a margin for
+parameters that move during a fit."""
+BODY, FORCE = 6, 3
+"""Numbers of the state of the body and of the force."""
+
+
+class ConstantForce(Force):
+    """A constant force `X`, `Y` along and across the body, and a yaw moment `N`."""
+
+    X: Scalar = param("N", default=0.0)
+    Y: Scalar = param("N", default=0.0)
+    N: Scalar = param("N m", default=0.0)
+
+    def wrench(self, motion: Motion) -> Wrench:
+        """(X, Y, N)."""
+        zero = jnp.zeros_like(motion.r)
+        return zero + self.X, zero + self.Y, zero + self.N
+
+
+class SegmentedRuns(NamedTuple):
+    """The S segments of R runs, n samples each.
+
+    `run` (S,): number of the run; `times` (S, n + 1) [s], the last is the first of the next segment; `pose` (S, n, 3),
+    zero where lost; `present` (S, n, 3); `first` (S,): whether it is the first of its run; `rest` (S,): whether it
+    begins at rest; `begins` (S,) [s]: time at which a start at rest is; `payload` (S, 2).
+    """
+
+    run: Int[np.ndarray, " S"]
+    times: Float[np.ndarray, "S n1"]
+    pose: Float[np.ndarray, "S n 3"]
+    present: Float[np.ndarray, "S n 3"]
+    first: np.ndarray
+    rest: np.ndarray
+    begins: Float[np.ndarray, " S"]
+    payload: Float[np.ndarray, "S 2"]
+
+    @property
+    def runs(self) -> int:
+        """The number of runs."""
+        return int(self.run[-1]) + 1
+
+
+class LinearisedSegments(NamedTuple):
+    """`pose` (S, n, 3) and `end` (S, nz - 3) of all segments, with their derivatives by p (.., P) and z (.., nz)."""
+
+    pose: np.ndarray
+    end: np.ndarray
+    pose_p: np.ndarray
+    pose_z: np.ndarray
+    end_p: np.ndarray
+    end_z: np.ndarray
+
+
+def cut_segments(runs: Sequence[Run], length: float = LENGTH) -> SegmentedRuns:
+    """`runs` in segments of `length` [s], of as many samples each; the last of a run is filled with lost samples."""
+    frame = min(float(np.median(np.diff(np.asarray(run.times)))) for run in runs)
+    n = max(FEWEST, round(length / frame))
+    columns: list[tuple] = []
+    for k, run in enumerate(runs):
+        t, recorded = np.asarray(run.times), np.asarray(run.pose)
+        begins = float(run.gait.begins())
+        at_rest = not run.moving and begins >= t[0] - 1e-9
+        missing = -len(t) % n
+        t = np.concatenate([t, t[-1] + frame * np.arange(1, missing + 2)])
+        recorded = np.concatenate([recorded, np.full((missing, 3), np.nan)])
+        for s in range(len(recorded) // n):
+            part = recorded[s * n : (s + 1) * n]
+            present = np.isfinite(part)
+            times = t[s * n : (s + 1) * n + 1]
+            rest = at_rest and s == 0
+            columns.append(
+                (k, times, np.where(present, part, 0.0), present * 1.0, s == 0, rest, begins, np.asarray(run.payload))
+            )
+    return SegmentedRuns(*(np.array(column) for column in zip(*columns, strict=True)))
+
+
+def _integrated(model: Model, sub: Int[Array, ""], segment, z: Float[Array, " nz"]):
+    """Poses (n, 3) and end state (nz - 3,) of one segment; `segment` is (gait, times, rest, begins, payload)."""
+    gait, times, rest, begins, payload = segment
+    model = eqx.tree_at(lambda m: m.board, model, replace_fn=lambda b: b.with_payload(*payload))
+    model = with_parameters(model, dict(zip(_FORCE_NAMES, z[-FORCE:], strict=True)))
+    template = jax.tree.structure(model.start((z[0], z[1], z[2])))
+    delayed = times - model.delay()
+    # A board at rest at its start was at rest before, whatever the delay of the clocks.
+    delayed = jnp.where(rest, jnp.maximum(delayed, begins), delayed)
+    start = jnp.where(rest, begins, delayed[0])
+
+    def rates(t, y):
+        return jax.tree.leaves(model.rates(t, jax.tree.unflatten(template, y), gait))
+
+    def moved(y, by, k):
+        return [u + by * r for u, r in zip(y, k, strict=True)]
+
+    def integrate(y, t0, t1):
+        h = (t1 - t0) / sub.astype(jnp.float64)
+
+        def step(i, y):
+            t = t0 + i.astype(jnp.float64) * h
+            k1 = rates(t, y)
+            k2 = rates(t + h / 2, moved(y, h / 2, k1))
+            k3 = rates(t + h / 2, moved(y, h / 2, k2))
+            k4 = rates(t + h, moved(y, h, k3))
+            slope = [(a + 2 * b + 2 * c + d) / 6 for a, b, c, d in zip(k1, k2, k3, k4, strict=True)]
+            return moved(y, h, slope)
+
+        return jax.lax.fori_loop(0, sub, step, y)
+
+    def sample(y, span):
+        return integrate(y, *span), jnp.stack(model.observe(tuple(y[:BODY])))
+
+    y = integrate([z[i] for i in range(z.shape[0] - FORCE)], start, delayed[0])
+    y, pose = jax.lax.scan(sample, y, (delayed[:-1], delayed[1:]))
+    return pose, jnp.stack(y)
+
+
+_FORCE_NAMES = tuple(f"effects.segment_force.{part}" for part in "XYN")
+
+
+def _at(model: Model, names, multiplicative, values, step):
+    moved = jnp.where(multiplicative, values * jnp.exp(step), values + step)
+    return with_parameters(model, {name: moved[k] for k, name in enumerate(names)})
+
+
+@eqx.filter_jit
+def _linearised(model: Model, names, multiplicative, values, sub, segments, z):
+    P, nz = len(names), z.shape[-1]
+
+    def one(segment, z):
+        def outputs(d):
+            return _integrated(_at(model, names, multiplicative, values, d[:P]), sub, segment, z + d[P:])
+
+        zero = jnp.zeros(P + nz)
+        return jax.vmap(lambda d: jax.jvp(outputs, (zero,), (d,)), out_axes=(None, -1))(jnp.eye(P + nz))
+
+    return jax.vmap(one)(segments, z)
+
+
+@eqx.filter_jit
+def _fastest_decay(model: Model, segments, states):
+    """The largest |d(rate of a velocity) / d(the same velocity)| in each segment, (S,) [1/s]."""
+
+    def one(segment, states):
+        gait, times, _, _, payload = segment
+        loaded = eqx.tree_at(lambda m: m.board, model, replace_fn=lambda b: b.with_payload(*payload))
+        start = loaded.start((states[0, 0], states[0, 1], states[0, 2]))[1]
+
+        def rates(v, t, z):
+            body = (z[0], z[1], z[2], v[0], v[1], v[2])
+            return jnp.stack(loaded.rates(t, (body, start), gait)[0][3:])
+
+        jacobians = jax.vmap(lambda t, z: jax.jacfwd(rates)(z[3:], t, z))(times[:-1], states)
+        return jnp.max(jnp.abs(jnp.diagonal(jacobians, axis1=-2, axis2=-1)))
+
+    return jax.vmap(one)(segments, states)
+
+
+@eqx.filter_jit
+def _steady_memories(model: Model, segments, bodies):
+    def one(segment, body):
+        gait, times, _, _, _ = segment
+        memories = model.initial_state(tuple(body[k] for k in range(BODY)), times[0], gait)[1]
+        return jnp.stack([memory for pair in memories for memory in pair])
+
+    return jax.vmap(one)(segments, bodies)
+
+
+class Segments:
+    """The segments of `runs` under `model`, with the movable parameters `names`; compiled once for all recordings."""
+
+    def __init__(self, model: Model, runs: Sequence[Run], names: Sequence[str]):
+        self.runs, self.names = tuple(runs), tuple(names)
+        self.cut = cut_segments(runs)
+        self.model = model.add(segment_force=ConstantForce())
+        domains = parameters(model)
+        self.domains = [domains[name].domain for name in names]
+        self.multiplicative = np.array([domain.multiplicative for domain in self.domains])
+        gaits = stacked_gaits([run.gait for run in runs], float(max(np.asarray(run.times)[-1] for run in runs)) + 1.0)
+        cut = self.cut
+        each = jax.tree.map(lambda leaf: np.asarray(leaf)[cut.run], gaits)
+        self.inputs: tuple = (each, cut.times, cut.rest, cut.begins, cut.payload)
+        states = [initial_states(model, run) for run in runs]
+        self.smoothed = self._by_segment(states)
+        self.sub = self._substeps(model)
+
+    def _by_segment(self, states: Sequence[np.ndarray]) -> np.ndarray:
+        """The smoothed states (S, n, 6) at the samples of each segment; the last one stands for samples filled in."""
+        n, parts = self.cut.pose.shape[1], []
+        for state in states:
+            filled = np.concatenate([state, np.repeat(state[-1:], -len(state) % n, axis=0)])
+            parts.append(filled.reshape(-1, n, state.shape[1]))
+        return np.concatenate(parts)
+
+    def _substeps(self, model: Model) -> np.ndarray:
+        """Steps between two samples (S,), so many that the integration is stable, see `STABLE`."""
+        rate = np.asarray(_fastest_decay(model, jax.tree.map(jnp.asarray, self.inputs), jnp.asarray(self.smoothed)))
+        if not np.isfinite(rate).all():
+            raise FitError("The motion of the recording gives a rate of change that is not finite; check its outliers.")
+        frame = np.diff(self.cut.times, axis=1).max(axis=1)
+        step = np.minimum(LARGEST_STEP, STABLE / np.maximum(rate, 1e-9))
+        # Few different numbers, so that segments of equal steps are integrated together.
+        offered = np.sort(np.concatenate([2 ** np.arange(12), 3 * 2 ** np.arange(10)]))
+        return offered[np.searchsorted(offered, np.minimum(frame / step - 1e-9, offered[-1]))]
+
+    def guess(self) -> np.ndarray:
+        """The smoothed states (S, nz) at the first sample of each segment; memories and forces are zero."""
+        z = np.zeros((len(self.cut.run), BODY + self.model.memories + FORCE))
+        z[:, :BODY] = self.smoothed[:, 0]
+        z[self.cut.rest, 3:BODY] = 0.0
+        return z
+
+    def moved(self, values: np.ndarray, step: np.ndarray) -> np.ndarray:
+        """The `values` (P,) after a `step` (P,) in the coordinates of the fit, inside their domains."""
+        new = np.where(self.multiplicative, values * np.exp(np.clip(step, -3, 3)), values + step)
+        return np.clip(new, [d.low for d in self.domains], [d.high for d in self.domains])
+
+    def step_between(self, old: np.ndarray, new: np.ndarray) -> np.ndarray:
+        """The step (P,) that leads from the values `old` to `new`."""
+        safe_old, safe_new = (np.where(self.multiplicative, np.maximum(v, 1e-300), 1.0) for v in (old, new))
+        return np.where(self.multiplicative, np.log(safe_new / safe_old), new - old)
+
+    def with_steady_memories(self, values: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """`z` with the memories of the effects where a steady slip has them: at zero a tyre would lose its force."""
+        if z.shape[1] == BODY + FORCE:
+            return z
+        z = z.copy()
+        model = with_parameters(self.model, dict(zip(self.names, map(jnp.asarray, values), strict=True)))
+        steady = _steady_memories(model, jax.tree.map(jnp.asarray, self.inputs), jnp.asarray(z[:, :BODY]))
+        z[:, BODY:-FORCE] = np.where(self.cut.rest[:, None], 0.0, np.asarray(steady))
+        return z
+
+    def linearise(self, values: np.ndarray, z: np.ndarray) -> LinearisedSegments:
+        """Poses and end states at the parameters `values` (P,) and start states `z` (S, nz), with derivatives."""
+        S, n = self.cut.pose.shape[:2]
+        P, nz = len(self.names), z.shape[1]
+        pose, end = np.zeros((S, n, 3)), np.zeros((S, nz - FORCE))
+        d_pose, d_end = np.zeros((S, n, 3, P + nz)), np.zeros((S, nz - FORCE, P + nz))
+        point = jnp.asarray(values, jnp.float64)
+
+        def fill(part: np.ndarray) -> None:
+            padded = np.concatenate([part, np.repeat(part[-1:], CHUNK - len(part))])
+            segments, start = jax.tree.map(lambda leaf: jnp.asarray(leaf[padded]), (self.inputs, z))
+            sub = jnp.asarray(self.sub[part[0]])
+            done = _linearised(self.model, self.names, self.multiplicative, point, sub, segments, start)
+            for target, found in zip(((pose, end), (d_pose, d_end)), done, strict=True):
+                for whole, values_ in zip(target, found, strict=True):
+                    whole[part] = np.asarray(values_)[: len(part)]
+
+        with ThreadPoolExecutor(min(2, cores())) as pool:
+            list(pool.map(fill, self._chunks()))
+        return LinearisedSegments(pose, end, d_pose[..., :P], d_pose[..., P:], d_end[..., :P], d_end[..., P:])
+
+    def _chunks(self) -> list[np.ndarray]:
+        """The numbers of segments with equal steps, in chunks."""
+        groups = [np.flatnonzero(self.sub == sub) for sub in np.unique(self.sub)]
+        return [group[k : k + CHUNK] for group in groups for k in range(0, len(group), CHUNK)]

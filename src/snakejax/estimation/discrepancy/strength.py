@@ -1,0 +1,154 @@
+"""How strong noise and random force are: the maximum of the restricted likelihood.
+
+Restricted (residual) maximum likelihood (Patterson and Thompson 1971) counts what the free parameters d take up:
+
+    R = L + chi^2 + ln |D^T D + prior precision|        (-2 log likelihood, d integrated out)
+
+with L and the Gram matrix of `kalman`. Nine logarithms are moved: white and wandering noise of position and of heading,
+the time constant of the latter, three strengths of the force and its time constant.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy import optimize
+
+from .kalman import Discrepancy, SegmentData, filter_runs
+from .least_squares import Prior
+from .segments import Segments
+
+WANDER_TIME, FORCE_TIME = (0.03, 2.0), (0.15, 10.0)
+"""Limits of the time constants [s]: noise that wanders faster is white and slower is a pose of the start; a force that
+changes faster than a segment cannot be seen, and slower than a run it is constant."""
+NOISE_RANGE = (1e-3, 30.0)
+"""Limits of each noise as multiples of the noise estimated from the recording alone."""
+FORCE_RANGE = (1e-4, 10.0)
+"""Limits of the force as multiples of the root mean square force that moves the vehicle. The lower one is none for
+every purpose, and below it covariances lose their digits."""
+COLUMNS = 8
+"""The number of columns of a compiled program is a multiple of this."""
+SLOWEST_GAIN = 1e-7
+"""The search ends where an iteration lowers R by less than this share."""
+
+
+class Scales(NamedTuple):
+    """What is large for a recording: `noise` (3,) [m, m, rad], the estimate from the recording alone; `force` (3,)
+    [N, N, N m], the root mean square force that moves the vehicle; `wander_time` [s]: that of wandering noise, where it
+    is stated."""
+
+    noise: np.ndarray
+    force: np.ndarray
+    wander_time: float | None = None
+
+    @property
+    def least_force(self) -> np.ndarray:
+        """A force that is none for every purpose."""
+        return FORCE_RANGE[0] * self.force
+
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper limits of the nine logarithms."""
+        ends = []
+        for k in range(2):
+            noise = NOISE_RANGE[k] * self.noise[[0, 2]]
+            force = FORCE_RANGE[k] * self.force
+            wander_time = WANDER_TIME[k] if self.wander_time is None else self.wander_time
+            ends.append(np.log([*noise, *noise, wander_time, *force, FORCE_TIME[k]]))
+        return ends[0], ends[1]
+
+    def first_guess(self) -> Discrepancy:
+        """White and wandering noise as large as the estimate, and a tenth of the force that moves the vehicle."""
+        return Discrepancy(self.noise, self.noise, self.wander_time or 0.2, 0.1 * self.force, 0.5)
+
+
+def scales_of(segments: Segments, noise: Float[np.ndarray, "3"], wander_time: float | None = None) -> Scales:
+    """`noise` and `wander_time` as they are, and the force m (du/dt - r w), m (dw/dt + r u), I dr/dt from the smoothed
+    recording."""
+    board, cut = segments.model.board, segments.cut
+    pairs = np.flatnonzero(~cut.first)  # a segment and the one before it
+    velocity = segments.smoothed[:, :, 3:6].mean(axis=1)
+    u, w, r = 0.5 * (velocity[pairs] + velocity[pairs - 1]).T
+    du, dw, dr = ((velocity[pairs] - velocity[pairs - 1]) / (cut.times[pairs, 0] - cut.times[pairs - 1, 0])[:, None]).T
+    mass = float(board.mass) + cut.payload[pairs, 0]
+    inertia = float(board.total_inertia) + cut.payload[pairs, 1]
+    force = np.stack([mass * (du - r * w), mass * (dw + r * u), inertia * dr])
+    present = np.asarray(cut.present.all(axis=(1, 2)))
+    complete = present[pairs] & present[pairs - 1]
+    size = np.sqrt((force[:, complete if complete.any() else slice(None)] ** 2).mean(axis=1))
+    return Scales(np.asarray(noise, float), np.maximum(size, 1e-9), wander_time)
+
+
+def _discrepancy(logarithms: np.ndarray) -> Discrepancy:
+    e = np.exp(logarithms)
+    return Discrepancy(e[[0, 0, 1]], e[[2, 2, 3]], float(e[4]), e[5:8], float(e[8]))
+
+
+def _logarithms(of: Discrepancy) -> np.ndarray:
+    return np.log([of.white[0], of.white[2], of.wander[0], of.wander[2], of.wander_time, *of.force, of.force_time])
+
+
+@jax.jit
+def _restricted(logarithms, data: SegmentData, precision, mean):
+    e = jnp.exp(logarithms)
+    position, both = jnp.array([0, 0, 1]), jnp.array([2, 2, 3])
+    noise = (e[position], e[both], e[4], e[5:8], e[8])
+    gram, logs, _, _ = filter_runs(data, noise, jnp.zeros(data.columns.shape[1]))
+    gram, logs = gram.sum(axis=(0, 1)), logs.sum()
+    normal = gram[1:, 1:] + jnp.diag(precision)
+    right = gram[1:, 0] + precision * mean
+    size = jnp.sqrt(jnp.diag(normal))
+    scaled = normal / jnp.outer(size, size)
+    step = jnp.linalg.solve(scaled, right / size) / size
+    chi2 = gram[0, 0] + jnp.sum(precision * mean**2) - right @ step
+    return logs + chi2 + jnp.linalg.slogdet(scaled)[1] + 2 * jnp.sum(jnp.log(size))
+
+
+_restricted_and_slope = jax.jit(jax.value_and_grad(_restricted))
+
+
+def restricted_likelihood(data: SegmentData, of: Discrepancy, free: np.ndarray, prior: Prior) -> float:
+    """R (-2 log restricted likelihood) with the parameters numbered `free` free within their `prior`."""
+    kept = _kept(data, free)
+    return float(_restricted(jnp.asarray(_logarithms(of)), kept, *_prior_of(prior, free)))
+
+
+def estimate_discrepancy(
+    data: SegmentData, start: Discrepancy, free: np.ndarray, prior: Prior, scales: Scales, most: int
+) -> tuple[Discrepancy, float]:
+    """The `Discrepancy` of least R, and R, from `start` in at most `most` iterations (L-BFGS-B)."""
+    low, high = scales.bounds()
+    kept, prior_ = _kept(data, free), _prior_of(prior, free)
+
+    def value_and_slope(logarithms):
+        value, slope = _restricted_and_slope(jnp.asarray(logarithms), kept, *prior_)
+        value, slope = float(value), np.asarray(slope)
+        if not (np.isfinite(value) and np.isfinite(slope).all()):
+            return 1e12, np.zeros_like(slope)
+        return value, slope
+
+    result = optimize.minimize(
+        value_and_slope,
+        np.clip(_logarithms(start), low, high),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=list(zip(low, high, strict=True)),
+        options={"maxiter": most, "ftol": SLOWEST_GAIN},
+    )
+    return _discrepancy(result.x), float(result.fun)
+
+
+def _kept(data: SegmentData, free: np.ndarray) -> SegmentData:
+    """The columns of `free`, filled up with zeros, so that one compiled program serves several sets of parameters."""
+    kept = data.keeping(free)
+    missing = [(0, 0)] * 4 + [(0, -len(free) % COLUMNS)]
+    filled = kept._replace(columns=np.pad(kept.columns, missing), shift=np.pad(kept.shift, missing[1:]))
+    return SegmentData(*(jnp.asarray(part) for part in filled))
+
+
+def _prior_of(prior: Prior, free: np.ndarray):
+    """Precision and mean of `free`; a column filled in has precision 1, which adds nothing to R."""
+    missing = (0, -len(free) % COLUMNS)
+    precision = np.pad(prior.precision[free], missing, constant_values=1.0)
+    return jnp.asarray(precision), jnp.asarray(np.pad(prior.mean[free], missing))

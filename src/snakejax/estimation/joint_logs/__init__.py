@@ -1,0 +1,1 @@
+"""Joint logs with a clock and noise of their own, estimated together with the parameters."""

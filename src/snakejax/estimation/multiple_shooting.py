@@ -1,0 +1,308 @@
+"""Multiple shooting (Bock 1981): recorded runs are cut into short windows, each with its own start state.
+
+Over a whole run the error of an incomplete model grows until it no longer shows its cause. Over 1 to 2 s it stays
+small, and the change that a candidate effect makes is of comparable size.
+"""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from snakejax.core.local_polynomials import local_cubics
+from snakejax.dynamics.model import Model
+from snakejax.recording.run import Noise, Run
+from snakejax.simulation.integrate import Accuracy
+
+from .least_squares import Linearised, Variables, domains_of, first, linearise, narrowed, widened
+from .problem import Problem, dependence_of
+
+_linearise = eqx.filter_jit(linearise)
+
+ACCURACY = Accuracy(rtol=3e-6, atol=3e-8, max_steps=4000, derivative="forward")
+"""With larger tolerances the derivatives of stiff windows are inaccurate; a window that needs more steps fails."""
+LENGTH = 1.5
+"""Length of a window [s]: long enough for an effect to show, short enough for residuals nearly linear in it."""
+THREADS = 2
+"""Threads that linearise windows in parallel."""
+ENOUGH = 0.003
+"""The iteration ends with a step that lowers the cost by less than this fraction."""
+START_ROUNDS = 6
+"""Largest number of steps of the start states alone."""
+LOST = 2.0
+"""The start state of a window is solved again if a step of the parameters raises its cost by more than this factor."""
+SMOOTHING = 0.12
+"""Half width [s] of the local cubics (Savitzky and Golay 1964) that give the velocities at the start of a window."""
+
+
+def cut_windows(run: Run, length: float) -> list[Run]:
+    """Cut `run` into windows of `length` [s]; a rest shorter than half a window is not used.
+
+    A window needs at least 12 complete samples.
+    """
+    times = np.asarray(run.times)
+    edges = np.arange(times[0], times[-1] + 1e-9, length)
+    if len(edges) > 1 and times[-1] - edges[-1] < length / 2:
+        edges = edges[:-1]
+    pieces = np.searchsorted(times, edges - 1e-9)
+    ends = [*pieces[1:], len(times)]
+    size = int(np.median(np.diff([*pieces, len(times)])))
+    windows = []
+    for k, (a, b) in enumerate(zip(pieces, ends, strict=True)):
+        part = slice(a, min(b, a + size))
+        if np.isfinite(np.asarray(run.pose)[part]).all(axis=1).sum() >= 12:
+            window = dataclasses.replace(
+                run,
+                name=f"{run.name}[{k}]",
+                times=run.times[part],
+                pose=run.pose[part],
+                moving=True,
+                log=None,
+                wander=None if run.wander is None else run.wander[part],
+                cut_from=run.name,
+            )
+            windows.append(window)
+    return windows
+
+
+def initial_states(model: Model, run: Run) -> np.ndarray:
+    """First guess of the state (n, 6) at every sample, for `initial_state`, from the smoothed recording alone."""
+    times = np.asarray(run.times)
+    pose, rate = local_cubics(times, np.asarray(run.pose), SMOOTHING)
+    return model.constraint.observed(times, pose, rate, model.board, model.commanded(run.gait))
+
+
+def linearise_windows(
+    problem: Problem,
+    values: Mapping[str, float],
+    start: np.ndarray,
+    runs: Sequence[int],
+    free: Sequence[str] | None = None,
+) -> Linearised:
+    """Residuals of `runs` and their Jacobian by the parameters `free` (default: all of `problem.names`) and the start.
+
+    `THREADS` threads share the runs.
+    """
+    P = len(problem.names)
+    width = P if free is None else problem.width
+    directions = np.eye(P)
+    if free is not None:
+        directions = np.zeros((width, P))
+        directions[range(len(free)), [problem.names.index(name) for name in free]] = 1.0
+    vector = np.array([values[name] for name in problem.names])
+    point = narrowed(
+        Variables(
+            problem.names, jnp.asarray(vector), jnp.asarray(directions), jnp.asarray(start), problem.batch.free_start
+        )
+    )
+    kept = point.directions.shape[0]
+
+    def linearise_share(part: Sequence[int]) -> Linearised:
+        linearised = _linearise(
+            problem.model,
+            point,
+            problem.batch,
+            *first(part, problem.batch),
+            jnp.zeros(kept),
+            jnp.zeros_like(problem.batch.start),
+            problem.accuracy,
+        )
+        return Linearised(*(np.asarray(leaf) for leaf in linearised))
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        shares = list(pool.map(linearise_share, [list(runs)[k::THREADS] for k in range(THREADS)]))
+    return widened(Linearised(*(sum(parts[1:], parts[0]) for parts in zip(*shares, strict=True))), width - kept, kept)
+
+
+class Windows(eqx.Module):
+    """Windows of recorded runs, with all parameters of the problem as directions of one compiled Jacobian."""
+
+    problem: Problem
+
+    @staticmethod
+    def of(
+        model: Model, runs: Sequence[Run], noise: Noise, names: Sequence[str], width: int, length: float
+    ) -> "Windows":
+        """Windows of `length` [s] over `runs`; the first window of a run from rest starts at rest.
+
+        At most `width` of the parameters `names` can be free at a time.
+        """
+        pieces, starts, free = [], [], []
+        memories = model.memories
+        for run in runs:
+            guess = initial_states(model, run)
+            for window in cut_windows(run, length):
+                pieces.append(window)
+                first_sample = int(np.searchsorted(np.asarray(run.times), float(window.times[0]) - 1e-9))
+                at_rest = first_sample == 0 and not run.moving
+                start = np.where([1, 1, 1, 0, 0, 0], guess[first_sample], 0.0) if at_rest else guess[first_sample]
+                starts.append([*start, *[0.0] * memories])
+                free.append([1] * 3 + [0 if at_rest else 1] * (3 + memories))
+        problem = Problem.of(model, pieces, noise, names, width, ACCURACY)
+        problem = eqx.tree_at(
+            lambda s: (s.batch.start, s.batch.free_start),
+            problem,
+            (jnp.asarray(np.array(starts)), jnp.asarray(np.array(free, float))),
+        )
+        return Windows(problem)
+
+    def at(self, values: Mapping[str, float], start: np.ndarray, free: Sequence[str] | None = None) -> Linearised:
+        """Residuals (W, n, 3) of the windows; their Jacobian by `free` (default: all names) and the start states."""
+        return linearise_windows(self.problem, values, start, range(len(self.problem.runs)), free)
+
+    def settle(
+        self, values: Mapping[str, float], free: Sequence[str], start: np.ndarray | None = None, rounds: int = 12
+    ) -> "WindowSolution":
+        """Minimise chi^2 over the windows by damped Gauss-Newton steps; start states are eliminated window by window.
+
+        The variables are the `free` parameters, common to all windows, and one start state for each window. A weak
+        prior, whose weight falls with the misfit, pulls the tyre towards typical values. Before a step is accepted or
+        rejected, the start state of every window whose cost rose by more than `LOST` is solved again.
+
+        **Arguments:** `values`, `start` (W, S): where the iteration begins; `rounds`: largest number of steps.
+        """
+        problem = self.problem
+        domains = domains_of(problem.model, free)
+        current = dict(values)
+        starts = np.asarray(problem.batch.start) if start is None else start
+        starts, linearised = self._started(
+            current, free, starts, self.at(current, starts, free), range(len(problem.runs))
+        )
+        cost, damping = self._total(linearised, current, free), 1e-4
+        for _ in range(rounds if free and np.isfinite(cost) else 0):
+            pull, strength = problem.typical(current, free)
+            weight = dependence_of(cost / max(linearised.residual.size, 1))
+            prior = (pull[: len(free)], weight * strength[: len(free)] ** 2)
+            step, moves = _newton(
+                linearised, len(free), problem.width, np.asarray(problem.batch.free_start), damping, prior
+            )
+            trial = dict(current)
+            for name, domain, move in zip(free, domains, step, strict=True):
+                move = float(np.clip(move, -1.0, 1.0)) if domain.multiplicative else float(move)
+                trial[name] = float(np.clip(domain.moved(current[name], move), domain.low, domain.high))
+            trial_starts = starts + moves
+            trial_linearised = self.at(trial, trial_starts, free)
+            lost_windows = np.flatnonzero(
+                ~(_each(trial_linearised) < LOST * _each(linearised) + trial_linearised.residual[0].size)
+            )
+            trial_starts, trial_linearised = self._started(trial, free, trial_starts, trial_linearised, lost_windows)
+            trial_cost = self._total(trial_linearised, trial, free)
+            if not trial_cost < cost * (1 + 1e-9):
+                damping *= 10
+                if damping > 1e2:
+                    break
+                continue
+            decrease, cost = cost - trial_cost, trial_cost
+            current, starts, linearised, damping = trial, trial_starts, trial_linearised, max(damping / 10, 1e-9)
+            if decrease < max(0.1, ENOUGH * cost):
+                break
+        return WindowSolution(current, starts, linearised, _cost(linearised))
+
+    def _started(self, values, free, starts, linearised: Linearised, windows) -> tuple[np.ndarray, Linearised]:
+        """Start states (W, S) and residuals after the start states of `windows` are fitted, the parameters fixed."""
+        windows, starts = np.asarray(windows, int), starts.copy()
+        residual, jacobian = linearised.residual.copy(), linearised.jacobian.copy()
+        free_start = np.asarray(self.problem.batch.free_start)
+        width, damping = self.problem.width, np.full(len(starts), 1e-4)
+        for _ in range(START_ROUNDS):
+            if not windows.size:
+                break
+            trial_starts, expected_decrease = starts.copy(), np.zeros(len(starts))
+            for k in windows:
+                r, S = residual[k].reshape(-1), jacobian[k].reshape(residual[k].size, -1)[:, width:]
+                free_components = (free_start[k] > 0) & ((S**2).sum(axis=0) > 0)
+                if np.isfinite(r).all() and free_components.any():
+                    S = S[:, free_components]
+                    move = np.linalg.lstsq(*with_damping(S, damping[k], -r), rcond=1e-12)[0]
+                    trial_starts[k, free_components] += move
+                    expected_decrease[k] = (r @ r) - ((r + S @ move) ** 2).sum()
+            windows = windows[expected_decrease[windows] > ENOUGH * (residual[windows] ** 2).sum(axis=(1, 2)) + 0.1]
+            if not windows.size:
+                break
+            trial_linearised = linearise_windows(self.problem, values, trial_starts, windows, free)
+            cost = (residual**2).sum(axis=(1, 2))
+            improved = np.array([k for k in windows if (trial_linearised.residual[k] ** 2).sum() < cost[k]], int)
+            starts[improved], residual[improved], jacobian[improved] = (
+                trial_starts[improved],
+                trial_linearised.residual[improved],
+                trial_linearised.jacobian[improved],
+            )
+            damping[windows] *= 10
+            damping[improved] /= 100
+        return starts, Linearised(residual, jacobian)
+
+    def _total(self, linearised: Linearised, values: Mapping[str, float], free: Sequence[str]) -> float:
+        """chi^2 plus the weak prior, whose weight falls as the misfit approaches that of noise."""
+        pull, strength = self.problem.typical(values, free)
+        penalty = float(((pull * strength) ** 2).sum())
+        cost = _cost(linearised)
+        return cost + penalty * dependence_of(cost / max(linearised.residual.size, 1)) if np.isfinite(cost) else np.inf
+
+
+def _each(linearised: Linearised) -> np.ndarray:
+    """chi^2 (W,) of each window."""
+    return np.asarray((linearised.residual**2).sum(axis=(1, 2)))
+
+
+def _cost(linearised: Linearised) -> float:
+    cost = float((linearised.residual**2).sum())
+    return cost if np.isfinite(cost) else np.inf
+
+
+def _newton(linearised: Linearised, count: int, width: int, free_start: np.ndarray, damping: float, prior):
+    """One damped Gauss-Newton step: (K,) of the first `count` parameters and (W, S) of the start states.
+
+    The start states are eliminated by the QR decomposition of their columns (Golub and Pereyra 1973); `prior` is
+    (mean, 1 / variance) of the step, each (K,).
+    """
+    parts = []
+    normal, right = np.zeros((count, count)), np.zeros(count)
+    for k, (r, J) in enumerate(zip(linearised.residual, linearised.jacobian, strict=True)):
+        r, J = r.reshape(-1), J.reshape(-1, J.shape[-1])
+        G, free_components = J[:, :count], free_start[k] > 0
+        free_components &= (J[:, width:] ** 2).sum(axis=0) > 0
+        S = J[:, width:][:, free_components]
+        S, G, r = with_damping(S, damping, G, r)
+        basis, triangle = np.linalg.qr(S)
+        G_ = G - basis @ (basis.T @ G)
+        normal += G_.T @ G_
+        right -= G_.T @ (r - basis @ (basis.T @ r))
+        parts.append((basis, triangle, r, G, free_components))
+    prior_mean, precision = prior
+    size = np.diag(normal)
+    damped = normal + np.diag(damping * size + precision)
+    step = _solved(damped, right + precision * prior_mean)
+    moves = np.zeros_like(free_start)
+    for k, (basis, triangle, r, G, free_components) in enumerate(parts):
+        moves[k, free_components] = np.linalg.lstsq(triangle, -(basis.T @ (r + G @ step)), rcond=1e-12)[0]
+    return step, moves
+
+
+def with_damping(S: np.ndarray, damping: float, *others: np.ndarray) -> tuple[np.ndarray, ...]:
+    """`S` with the rows diag(sqrt(damping) |column|) appended, and `others` with as many rows of zeros."""
+    damping_rows = np.diag(np.sqrt(damping * (S**2).sum(axis=0)))
+    return np.concatenate([S, damping_rows]), *(
+        np.concatenate([o, np.zeros((len(damping_rows), *o.shape[1:]))]) for o in others
+    )
+
+
+def _solved(normal: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """The solution of the normal equations scaled to a unit diagonal; a parameter without influence gets step zero."""
+    if not right.size or not (np.isfinite(normal).all() and np.isfinite(right).all()):
+        return np.zeros_like(right)
+    norms = np.sqrt(np.diag(normal))
+    scale = np.where(norms > 0, norms, 1.0)
+    return np.linalg.lstsq(normal / np.outer(scale, scale), right / scale, rcond=1e-14)[0] / scale
+
+
+class WindowSolution(NamedTuple):
+    """Optimum of a fit by windows: parameter `values`, `start` (W, S), residuals and Jacobian, and chi^2 (`cost`)."""
+
+    values: dict[str, float]
+    start: np.ndarray
+    linearised: Linearised
+    cost: float

@@ -1,0 +1,1 @@
+"""Results as JSON, as text, as figures and as pages."""

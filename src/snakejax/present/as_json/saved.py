@@ -1,0 +1,48 @@
+"""Reading of saved fits."""
+
+import json
+from pathlib import Path
+from typing import NamedTuple
+
+from snakejax.core.errors import InputError, at_line
+from snakejax.dynamics.kinds import MODEL_KINDS, STRUCTURES
+
+
+class SavedFit(NamedTuple):
+    """A saved fit: `values` of its parameters by short name, `effects` {effect: {parameter: value}}."""
+
+    model: str
+    constraint: str
+    values: dict[str, float]
+    effects: dict[str, dict[str, float]]
+
+
+def saved_fit(path: Path | str) -> SavedFit:
+    """The model in a result of `fit` or `explain`; from its `final` part where there is one.
+
+    **Raises:** `InputError` where the file does not hold such a result.
+    """
+    remedy = "name a file that `snakejax fit CASE --json FILE` wrote"
+    try:
+        result = json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"Cannot read the saved fit ({error.strerror})", str(path), remedy) from None
+    except UnicodeDecodeError:
+        raise InputError("The saved fit is not text", str(path), remedy) from None
+    except json.JSONDecodeError as error:
+        raise InputError(f"The saved fit is not JSON ({error.msg})", at_line(path, error.lineno), remedy) from None
+    try:
+        part = result.get("final") or result["base"]
+        values = {name: float(entry["value"]) for name, entry in part["parameters"].items()}
+        effects = {
+            effect: {name: float(entry["value"]) for name, entry in entries.items()}
+            for effect, entries in (part.get("effects") or {}).items()
+        }
+        saved = SavedFit(part.get("model", result["model"]), part.get("skid", result["skid"]), values, effects)
+    except (KeyError, TypeError, AttributeError, ValueError):
+        raise InputError("The file does not hold a fit", str(path), remedy) from None
+    if saved.model not in MODEL_KINDS or saved.constraint not in STRUCTURES:
+        raise InputError(
+            f"The saved model is `{saved.model}`, `{saved.constraint}`, which no fit has", str(path), remedy
+        )
+    return saved

@@ -1,0 +1,28 @@
+"""The plan of an explanation as text."""
+
+from rich.console import Group, RenderableType
+from rich.text import Text
+
+from snakejax.core.tabular import listed
+from snakejax.diagnosis.plan import Plan
+
+from .tables import add_row, plain_table
+
+
+def plan_text(plan: Plan) -> RenderableType:
+    """The base, the runs, and the candidates with their parameters."""
+    first, *others = plan.structures
+    then = f", then {listed(others)}" if others else ""
+    lines: list[RenderableType] = [
+        Text(f"{plan.case}: nothing is fitted."),
+        Text(f"An explanation would fit {listed(plan.free)} under {first}{then}"),
+        Text(f"to {len(plan.train)} train runs ({', '.join(plan.train)})"),
+        Text(f"and judge the result by {len(plan.heldout)} held-out runs ({', '.join(plan.heldout) or 'none'})."),
+        Text(""),
+    ]
+    table = plain_table("candidate", "parameters")
+    for name, parts in plan.candidates.items():
+        add_row(table, name, ", ".join(parts))
+    lines.append(table)
+    lines += [Text(f"Excluded: {name}: {why.rstrip('.')}.") for name, why in plan.left_out.items()]
+    return Group(*lines)

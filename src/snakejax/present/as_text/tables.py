@@ -1,0 +1,93 @@
+"""Numbers and tables for a terminal of 80 columns."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from rich import box
+from rich.console import RenderableType
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from snakejax.estimation.uncertainty import Estimate
+
+from ..as_json.values import short
+
+MOST_DIGITS = 9
+"""The largest number of significant digits: the error of a simulation is about 1e-9 of its result."""
+Interval = tuple[float | None, float | None]
+
+
+def number(value: float | None, sd: float | None = None) -> str:
+    """`value` rounded to the second digit of its standard error `sd`, but at most to units."""
+    if value is None:
+        return ""
+    if sd is None or not 0 < sd < float("inf") or abs(value) >= 1e7:
+        return f"{value:.4g}"
+    decimals = max(1 - _magnitude(sd), 0)
+    if value and decimals + _magnitude(value) >= MOST_DIGITS:
+        return f"{value:.{MOST_DIGITS}g}"
+    if decimals < MOST_DIGITS:
+        return f"{value:z.{decimals}f}"
+    return f"{value:.{max(decimals + _magnitude(value), 0)}e}" if value else "0"
+
+
+def _magnitude(value: float) -> int:
+    """The power of ten of the first digit."""
+    return int(f"{value:.1e}".split("e")[1])
+
+
+def error(sd: float | None) -> str:
+    """A standard error, to two digits."""
+    return number(sd, sd) if sd is not None and np.isfinite(sd) else ""
+
+
+def interval_text(interval: Interval | None, sd: float | None = None) -> str:
+    """A 95% interval; an end that the data do not determine is infinite."""
+    if interval is None:
+        return ""
+    low, high = interval
+    return f"{'-inf' if low is None else number(low, sd)} to {'inf' if high is None else number(high, sd)}"
+
+
+def note(estimate: Estimate) -> str:
+    """A warning about an estimate; empty where there is none."""
+    if estimate.at_bound:
+        return "at its bound"
+    return "" if estimate.determined else "cannot be determined"
+
+
+def plain_table(*columns: str, right: Sequence[str] = ()) -> Table:
+    """A table without frame; the columns in `right` are aligned on the right."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
+    for column in columns:
+        names = column in ("run", "parameter", "model", "candidate")
+        justify = "right" if column in right else "left"
+        table.add_column(Text(column), justify=justify, overflow="fold", no_wrap=names)
+    return table
+
+
+def add_row(table: Table, *cells: str, style: str | None = None) -> None:
+    """Add a row of `cells` to `table`; brackets in them are not markup."""
+    table.add_row(*map(Text, cells), style=style)
+
+
+def named(name: str) -> str:
+    """A parameter in a table: `B`, `ground_slope.sx`, `board.mass`."""
+    return short(name).removeprefix("effects.")
+
+
+def indented(renderable: RenderableType) -> Padding:
+    """`renderable` two columns in."""
+    return Padding(renderable, (0, 0, 1, 2))
+
+
+NOT_CONVERGED = "did not converge"
+"""The note beside every number of a fit that did not converge."""
+
+
+def not_converged_line(*fits: str) -> str:
+    """The warning about the `fits` that did not converge."""
+    *first, last = fits
+    which, whose = (f"fits of {', '.join(first)} and {last}", "their") if first else (f"fit of {last}", "its")
+    return f"The {which} {NOT_CONVERGED}: {whose} errors and values are less certain than the standard errors state."

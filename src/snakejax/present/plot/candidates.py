@@ -1,0 +1,72 @@
+"""Figures of a diagnosis: the ranking of the candidates, and which of them the runs cannot distinguish."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from snakejax.diagnosis.selection.steps import SelectionStep
+
+from ..as_text.errors import times_noise
+from ..as_text.tables import NOT_CONVERGED
+from ..style import TRAIN
+
+SMALLEST = 1e-300
+
+
+def ranking(base: SelectionStep) -> Figure:
+    """Left, the error that each candidate would leave, in multiples of the noise: an open mark as predicted, a full one
+    as refitted. Right, p.
+    """
+    shown = list(base.ranking)[::-1]
+    figure = Figure(figsize=(9.0, 1.7 + 0.24 * len(shown)), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.6, 1.0))
+    places = np.arange(len(shown))
+    predicted = np.array([times_noise(one.predicted_misfit) for one in shown], float)
+    refitted = np.array([times_noise(one.refit_misfit) for one in shown], float)
+    left.scatter(predicted, places, facecolors="none", edgecolors=TRAIN, label="predicted, of short windows")
+    short = np.array([one.converged is False for one in shown])
+    left.scatter(np.where(short, np.nan, refitted), places, c=TRAIN, label="refitted, of whole runs")
+    if short.any():
+        label = f"refit of whole runs {NOT_CONVERGED}"
+        left.scatter(np.where(short, refitted, np.nan), places, c=TRAIN, marker="x", label=label)
+    left.axvline(1.0, color="0.2", lw=1, ls=":")
+    left.set_xscale("log")
+    left.set_yticks(places, [one.effect for one in shown], fontsize="small")
+    left.set(xlabel="error, multiples of the noise")
+    left.grid(axis="y", color="0.9", lw=0.6)
+    figure.legend(*left.get_legend_handles_labels(), fontsize="small", loc="outside upper left", ncols=3)
+    sure = [np.nan if one.p_value is None else -np.log10(max(one.p_value, SMALLEST)) for one in shown]
+    right.barh(places, sure, color=TRAIN)
+    right.set(xlabel="-log10 p, corrected for their number")
+    right.set_xscale("symlog", linthresh=2.0)
+    right.axvline(2.0, color="0.2", lw=1, ls=":")
+    return figure
+
+
+def confusability(base: SelectionStep) -> Figure:
+    """Candidates against candidates: a filled square is a pair that these runs cannot distinguish."""
+    names = [one.effect for one in base.ranking]
+    table = np.zeros((len(names), len(names)))
+    for row, one in enumerate(base.ranking):
+        for other in one.confusable_with:
+            if other in names:
+                table[row, names.index(other)] = table[names.index(other), row] = 1.0
+    size = 2.0 + 0.24 * len(names)
+    figure = Figure(figsize=(size, size), layout="constrained")
+    axis = figure.subplots()
+    axis.set_aspect("equal")
+    for row, column in np.argwhere(table > 0):
+        axis.add_patch(_square(column, row))
+    axis.set(xlim=(-0.5, len(names) - 0.5), ylim=(len(names) - 0.5, -0.5))
+    axis.set_xticks(range(len(names)), names, rotation=90, fontsize="small")
+    axis.set_yticks(range(len(names)), names, fontsize="small")
+    axis.grid(color="0.92", lw=0.6)
+    axis.set_axisbelow(True)
+    axis.plot([-0.5, len(names) - 0.5], [-0.5, len(names) - 0.5], color="0.7", lw=0.6)
+    axis.set_title("not distinguishable by these runs", fontsize="medium")
+    return figure
+
+
+def _square(x: float, y: float):
+    from matplotlib.patches import Rectangle
+
+    return Rectangle((x - 0.4, y - 0.4), 0.8, 0.8, color=TRAIN, lw=0)

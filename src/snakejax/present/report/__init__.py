@@ -1,0 +1,110 @@
+"""Reports: one HTML file of a result, to open from disk and to send on.
+
+Each function returns the page as text. It needs no network and no other file.
+"""
+
+from collections.abc import Sequence
+
+from snakejax.diagnosis.explanation import Explanation
+from snakejax.diagnosis.selection.steps import SelectionStep
+from snakejax.estimation.fit_record import Fit
+from snakejax.recording.case import Case
+from snakejax.recording.run import Noise
+
+from ..as_json.explanation import base_headline, warnings
+from ..as_json.values import Json
+from ..as_text.errors import error_text
+from ..as_text.explanation import confidence_sentences, floor_sentences, headline, horizon_sentences
+from ..as_text.fit import noise_line
+from ..as_text.tables import not_converged_line
+from ..views import ModelView, view_of_step
+from . import charts as figures
+from . import sections as sections
+from .certainty import certainty
+from .design import tune_page
+from .page import Model, Page, Section, render
+from .parameters import parameters
+from .player import movie
+from .sweep import sweep_page
+
+
+def fit_page(case: Case, noise: Noise, found: Fit, result: Json, model: ModelView) -> str:
+    """The report of a fit, or of a comparison where `result` has one; `model` is that of `view_of_fit`."""
+    models = (model,)
+    train, held = found.train_score, found.heldout_score
+    unseen = "" if held is None else f", on held-out runs {error_text(held)}"
+    told = f"{case.name}: the root mean square error of the model is {error_text(train)}{unseen}."
+    parts = (
+        sections.paths(models),
+        sections.moving(),
+        sections.falling(result),
+        sections.failing(models, result.get("comparison")),
+        sections.tyre(models),
+        parameters(result, found.advice),
+    )
+    warned = () if found.converged else (not_converged_line("the model"),)
+    return _page(case, noise, told, warned, models, parts, result, found.model.board)
+
+
+def diagnosis_page(case: Case, noise: Noise, base: SelectionStep, result: Json) -> str:
+    """The report of a diagnosis."""
+    models = (view_of_step(base),)
+    sure = [one["effect"] for one in result["ranking"] if one["p_value"] is not None and one["p_value"] < 0.01]
+    told = base_headline(case.name, base)
+    told += f" Best candidate: {result['ranking'][0]['effect']}." if sure else " No candidate is significant."
+    parts = (
+        sections.ranking(result, base.description_of),
+        sections.paths(models),
+        sections.moving(),
+        sections.falling(result),
+        sections.failing(models),
+        sections.tyre(models),
+        parameters(result),
+    )
+    return _page(case, noise, told, warnings([base]), models, parts, result, base.model.board)
+
+
+def explanation_page(found: Explanation, result: Json, models: Sequence[ModelView]) -> str:
+    """The report of an explanation, from the base model to the verdict; `models` are those of `views_of_steps`."""
+    parts: list[Section] = [sections.paths(models), sections.falling(result), sections.moving()]
+    if found.missing is not None and result["unexplained"] is not None:
+        charts = figures.missing(found.missing)
+        if found.missing.depends_on and found.missing.shape is not None:
+            charts.insert(0, figures.shape(found.missing, found.missing.depends_on[0][0], models[0]))
+        parts.insert(2, sections.missing(result, charts))
+    if found.confidence or found.candidates:
+        said = [f"{effect}: {' '.join(confidence_sentences(found, effect))}" for effect in found.confidence]
+        said += [*floor_sentences(found), *horizon_sentences(found)]
+        parts.insert(2, certainty(result, said))
+    parts += [
+        sections.failing(models),
+        sections.ranking(result, found.base.description_of),
+        sections.tyre(models),
+        parameters(result),
+    ]
+    warned, board = warnings(found.steps), found.base.model.board
+    return _page(found.case, found.noise, headline(found), warned, models, parts, result, board)
+
+
+def _page(
+    case,
+    noise,
+    told: str,
+    warned: tuple[str, ...],
+    models: Sequence[ModelView],
+    parts: Sequence[Section],
+    result,
+    board,
+) -> str:
+    """A page about recorded runs."""
+    shown = {models[0].key, models[-1].key}
+    switches = tuple(Model(m.key, m.label, m.look, m.key in shown) for m in models)
+    runs = tuple((scene.run, scene.role) for scene in models[0].scenes)
+    recordings = sections.recordings(result)
+    parts = [*parts, *([recordings] if recordings is not None else [])]
+    facts = (case.title, f"{noise_line(noise)[0].upper()}{noise_line(noise)[1:]}.")
+    shots = movie(models, board)
+    return render(Page(f"{case.name} - snakejax", told, facts, runs, switches, tuple(parts), result, shots, warned))
+
+
+__all__ = ["diagnosis_page", "explanation_page", "fit_page", "sweep_page", "tune_page"]

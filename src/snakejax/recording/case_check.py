@@ -1,0 +1,143 @@
+"""The contents of a case, and its doubtful values."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import equinox as eqx
+import numpy as np
+
+from snakejax.core.errors import InputError
+from snakejax.dynamics.signals import AbstractSignal, Tracked
+
+from .quality import CONVENTIONS, Finding, Inspection, angles, clocks, estimate_noise, inspect
+from .run import Case, Run
+
+Severity = Literal["note", "doubtful"]
+
+STEEPEST = np.deg2rad(80)
+NOISE_FACTOR = 2.0
+
+
+class Issue(NamedTuple):
+    """Something doubtful in `run` (None: in the case as a whole); `remedy`: what is done or can be done."""
+
+    run: str | None
+    what: str
+    severity: Severity
+    remedy: str = ""
+
+
+class RunSummary(NamedTuple):
+    """The duration [s], frame rate [Hz], number of frames and of lost frames of one run."""
+
+    run: str
+    role: str
+    duration: float
+    rate: float
+    samples: int
+    lost: int
+
+
+def run_summary(run: Run) -> RunSummary:
+    """What `run` holds."""
+    times = np.asarray(run.times)
+    lost = int((~_present(run)).sum())
+    return RunSummary(run.name, run.role, float(times[-1] - times[0]), _rate(run), times.size, lost)
+
+
+def check(case: Case, folder: Path | str | None = None, inspection: Inspection | None = None) -> list[Issue]:
+    """Everything doubtful in `case`, the case as a whole first; `folder`, where given, is searched for unused files.
+
+    `inspection`: what `inspect(case)` found, where that is known already.
+    """
+    inspected = inspection or inspect(case)
+    issues = [*_whole(case), *_noise(inspected.case), *(_unused(case, Path(folder)) if folder is not None else ())]
+    issues += [_issue(f) for f in inspected.findings if f.run is None]
+    turned = {f.run for f in inspected.findings if f.kind in (*CONVENTIONS, "frequency_unit")}
+    for run, mended in zip(case.runs, inspected.case.runs, strict=True):
+        of_run = [f for f in inspected.findings if f.run == run.name]
+        # Clocks show only where axes, signs and frequencies are right.
+        if not (any(f.severity == "refused" for f in of_run) or run.log is not None or turned & {None, run.name}):
+            of_run += clocks(mended)
+        issues += [_issue(f._replace(run=run.name)) for f in of_run]
+        issues += _steering(run)
+    return issues
+
+
+def _issue(f: Finding) -> Issue:
+    return Issue(f.run, f.what, "note" if f.severity == "note" else "doubtful", f.remedy)
+
+
+def _readings(case: Case) -> dict[str, list[str]]:
+    """What reading the files decided, and the runs of which it did."""
+    runs_of_note: dict[str, list[str]] = {}
+    for run, notes in case.reading.items():
+        for note in notes:
+            runs_of_note.setdefault(note, []).append(run)
+    return runs_of_note
+
+
+def _which(names: Sequence[str], runs: int) -> str:
+    return "all runs" if len(names) == runs else ", ".join(names)
+
+
+def _present(run: Run) -> np.ndarray:
+    return np.asarray(np.isfinite(run.pose).all(axis=1))
+
+
+def _rate(run: Run) -> float:
+    return 1.0 / float(np.median(np.diff(np.asarray(run.times))))
+
+
+def _whole(case: Case) -> Iterator[Issue]:
+    if not case.having("heldout"):
+        yield Issue(None, "no run is held out: the fit cannot be validated", "doubtful")
+    if len(case.having("train")) == 1:
+        yield Issue(None, "there is only one train run", "note")
+    train = case.having("train")
+    if len(train) > 1 and all(bool(eqx.tree_equal(train[0].gait, run.gait)) for run in train[1:]):
+        yield Issue(None, "the gait is the same in all train runs: few effects can be distinguished", "doubtful")
+    for i, run in enumerate(case.runs):
+        for other in case.runs[:i]:
+            if run.pose.shape == other.pose.shape and np.array_equal(run.pose, other.pose, equal_nan=True):
+                yield Issue(run.name, f"holds the same poses as {other.name}", "doubtful")
+
+
+def _noise(case: Case) -> Iterator[Issue]:
+    try:
+        noise = estimate_noise(case.runs)
+    except InputError as error:
+        yield Issue(None, f"the noise cannot be estimated: {error.what}", "note")
+        return
+    source = f" ({noise.source})" if "share it" in noise.source else ""
+    for name, unit in (("position", "m"), ("heading", "rad")):
+        estimated = float(getattr(noise, name))
+        if case.noise is None:
+            yield Issue(None, f"no {name} noise is given; the recordings give {estimated:.3g} {unit}{source}", "note")
+            continue
+        given = float(getattr(case.noise, name))
+        if not 1 / NOISE_FACTOR <= given / estimated <= NOISE_FACTOR:
+            what = (
+                f"{name} noise is given as {given:.3g} {unit}, but the recordings give {estimated:.3g} {unit}{source}"
+            )
+            yield Issue(None, what, "doubtful")
+
+
+def _unused(case: Case, folder: Path) -> Iterator[Issue]:
+    for path in sorted(folder.glob("*.csv")):
+        if path.name not in case.sha256:
+            yield Issue(None, f"{path.name} is in the folder, but no run uses it", "note")
+
+
+def _steering(run: Run) -> Iterator[Issue]:
+    for name in ("phi", "phi_back"):
+        signal: AbstractSignal | None = getattr(run.gait, name)
+        command = signal.command if isinstance(signal, Tracked) else signal
+        if command is None:
+            continue
+        steepest = float(np.abs(angles(command, np.asarray(run.times))).max())
+        if steepest > STEEPEST:
+            reached = f"{name} is commanded to {np.rad2deg(steepest):.0f} degrees"
+            what = f"{reached}: above 80 degrees the wheels may hit the board"
+            yield Issue(run.name, what, "doubtful")

@@ -1,0 +1,71 @@
+"""Joint logs: a CSV of the joint angles over time, commanded or measured."""
+
+import itertools
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from snakejax.core.errors import InputError, at_line, instead_of
+from snakejax.core.text_files import read_text
+
+from .cells import is_blank, separator_of, shown, split
+from .numeric_table import Rows, numbers
+
+REQUIRED = ("time_s", "phi_rad", "psi_rad")
+OPTIONAL = ("phi_back_rad",)
+FEWEST_ROWS = 4
+
+
+class JointLog(NamedTuple):
+    """`times` [s] (n,) from the start of the run, increasing, and the angles [rad] (n,) of the joints."""
+
+    times: Float[np.ndarray, " n"]
+    phi: Float[np.ndarray, " n"]
+    psi: Float[np.ndarray, " n"]
+    phi_back: Float[np.ndarray, " n"] | None
+
+
+def read_joint_log(path: Path | str) -> JointLog:
+    """The log at `path`, with columns time_s, phi_rad, psi_rad and, where the back is steered by itself, phi_back_rad.
+
+    **Raises:** `InputError` with file, line and remedy.
+    """
+    path = Path(path)
+    text = read_text(path)
+    separator, decimal = separator_of(text)
+    lines = text.split("\n")
+    columns = _columns(split(lines[0], separator), path)
+    filled = [line for line, cells in enumerate(lines[1:], start=2) if not is_blank(cells)]
+    if len(filled) < FEWEST_ROWS:
+        what = f"The joint log has {len(filled)} rows, but at least {FEWEST_ROWS} are needed"
+        raise InputError(what, at_line(path, len(filled) + 1), "log the joints for the whole run")
+    table = np.empty((len(filled), len(columns)))
+    # Rows between two blank lines are read together; there are rarely any such lines.
+    breaks = [0, *(np.flatnonzero(np.diff(filled) > 1) + 1).tolist(), len(filled)]
+    for start, stop in itertools.pairwise(breaks):
+        part = lines[filled[start] - 1 : filled[stop - 1]]
+        table[start:stop] = numbers(Rows(path, part, filled[start], separator, decimal), columns)
+    if (blank := np.argwhere(np.isnan(table))).size:
+        row, column = blank[0]
+        what = f"The cell of {columns[column]} is blank"
+        raise InputError(what, at_line(path, filled[row]), "a joint log has no gaps: fill or remove the row")
+    by_name = dict(zip(columns, table.T, strict=True))
+    times = by_name["time_s"]
+    if (backwards := np.flatnonzero(np.diff(times) <= 0)).size:
+        row = int(backwards[0])
+        what = f"Time goes from {times[row]:g} s to {times[row + 1]:g} s: it runs backwards or stands still"
+        raise InputError(what, at_line(path, filled[row + 1]), "sort the rows by time and keep one row for each")
+    return JointLog(*(by_name.get(name) for name in REQUIRED + OPTIONAL))
+
+
+def _columns(header: list[str], path: Path) -> list[str]:
+    for i, name in enumerate(header):
+        if name not in REQUIRED + OPTIONAL or name in header[:i]:
+            remedy = "remove it" if name in header[:i] else instead_of(name, REQUIRED + OPTIONAL)
+            raise InputError(f'Extra column "{shown(name)}"', at_line(path, 1), remedy)
+    for name in REQUIRED:
+        if name not in header:
+            raise InputError(f"Missing column {name}", at_line(path, 1), f"the first row is {','.join(REQUIRED)}")
+    return header

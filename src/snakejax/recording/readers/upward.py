@@ -1,0 +1,93 @@
+"""Which way is up where a file does not say: markers lie above the floor, and what rolls stays in a plane.
+
+The origin of a laboratory is on its floor. Along the axis that points up, nothing is below it, and the lowest marker
+stays near it; along any other axis that would be chance. People are taller than wide. A rigid body that moves in a
+plane moves on the floor.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from .motion_plane import ground_of, is_rigid
+
+BELOW = 0.03
+"""So far [m] below the floor markers may seem to be: a floor is no better than this."""
+MOST_BELOW = 0.01
+"""The share of places that may be anywhere: ghosts."""
+NEAR = 0.5
+"""The lowest of what is on a floor is no higher [m]."""
+BOUNCE = 0.15
+"""By so much [m] the lowest marker may rise and sink: that of a person who walks, not of one who passes by."""
+TALLER = 2.0
+MOST_TILT = np.deg2rad(10.0)
+MOST_FRAMES, MOST_MARKERS = 2000, 200
+AXES = ("x", "y", "z")
+
+
+class Upward(NamedTuple):
+    """The axis that points `up`, and what `said` so; `open` where nothing did and it is a mere guess."""
+
+    up: str
+    said: str
+    open: bool = False
+
+
+def upward(markers: Mapping[str, Float[np.ndarray, "n 3"]], usual: str, why: str) -> Upward:
+    """Which way is up by what the markers do; `usual`, because of `why`, where they do not show it."""
+    points = _some(markers)
+    ways = [way for way in _ways(points) if _steady(points, way)]
+    floor = ground_of(points) if points.shape[1] and is_rigid(points) else None
+    if floor is not None and floor.tilt < MOST_TILT:
+        # A plane has two sides, and what rolls in it lies on one of them.
+        sign = "-" if f"-{floor.axis}" in ways else ""
+        return Upward(sign + floor.axis, "the plane in which its markers move lies across it")
+    if len(ways) > 1 and not is_rigid(points):
+        tall = {way: _extent(points, way) for way in AXES}
+        ways = [way for way in ways if all(tall[way[-1]] > TALLER * tall[axis] for axis in AXES if axis != way[-1])]
+    if len(ways) == 1:
+        return Upward(ways[0], "its markers lie above the floor that way")
+    return Upward(usual, why, open=True)
+
+
+def side_of(markers: Mapping[str, Float[np.ndarray, "n 3"]], axis: str) -> str | None:
+    """`axis`, or `-axis` where that points up, by the side of the floor where the markers lie; None if on neither."""
+    return next((way for way in _ways(_some(markers)) if way[-1] == axis), None)
+
+
+def _some(markers: Mapping[str, Float[np.ndarray, "n 3"]]) -> Float[np.ndarray, "n m 3"]:
+    names = [*markers]
+    chosen = names[:: max(1, -(-len(names) // MOST_MARKERS))]
+    if not chosen:
+        return np.zeros((0, 0, 3))
+    points = np.stack([markers[name][:: max(1, len(markers[name]) // MOST_FRAMES)] for name in chosen], axis=1)
+    return points[np.isfinite(points).all(axis=2).any(axis=1)]
+
+
+def _along(points: Float[np.ndarray, "n m 3"], way: str) -> Float[np.ndarray, "n m"]:
+    return points[..., AXES.index(way[-1])] * (-1 if way[0] == "-" else 1)
+
+
+def _ways(points: Float[np.ndarray, "n m 3"]) -> list[str]:
+    """The ways that may be up: nothing is below the floor, and something is near it."""
+    ways = []
+    for way in (*AXES, *(f"-{axis}" for axis in AXES)):
+        height = _along(points, way)
+        height = height[np.isfinite(height)]
+        if not height.size:
+            continue
+        lowest, middle = np.quantile(height, [MOST_BELOW, 0.5])
+        if -BELOW < lowest < NEAR and middle > BELOW:
+            ways.append(way)
+    return ways
+
+
+def _steady(points: Float[np.ndarray, "n m 3"], way: str) -> bool:
+    lowest = np.nanmin(_along(points, way), axis=1)
+    return bool(np.subtract(*np.quantile(lowest, [0.95, 0.05])) < BOUNCE)
+
+
+def _extent(points: Float[np.ndarray, "n m 3"], axis: str) -> float:
+    return float(np.median(np.nanstd(_along(points, axis), axis=1)))

@@ -1,0 +1,109 @@
+"""What was seen: recorded runs of a board, and the case that holds them."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from snakejax.core.parameter import Scalar
+from snakejax.dynamics.inputs import Gait
+from snakejax.vehicles.snakeboard.board import Board
+
+
+class LogClock(NamedTuple):
+    """How the clock of a run's joint log goes: it shows t (1 + `drift`) + `offset` [s] at the cameras' time t.
+
+    `offset_sd` and `drift_sd` are standard errors, None for what was given; `source` says whence they are. `free` names
+    those of "offset" and "drift" that a fit is to estimate.
+    """
+
+    offset: float = 0.0
+    drift: float = 0.0
+    offset_sd: float | None = None
+    drift_sd: float | None = None
+    source: str = "case.toml"
+    free: tuple[str, ...] = ()
+
+    def camera_times(self, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """The cameras' times [s] at which this clock shows `times`."""
+        return (times - self.offset) / (1 + self.drift)
+
+
+class Run(eqx.Module):
+    """One recorded run.
+
+    `times` [s] (n,) count from the start of the run at 0; `pose` (n, 3) holds x [m], y [m] and the unwrapped heading
+    [rad], NaN where a frame was lost. `payload` is the extra mass [kg] and yaw inertia [kg m^2] this run carried.
+    A run that is `moving` was already under way at its first sample `times[0]`; any other starts at rest at time 0.
+    `log`, where its joints were logged, is how the log's clock goes; the gait is on the cameras' already. `wander`
+    (n, 3, q): where that log has noise, the model's pose is off by wander z with z standard normal, in m and rad.
+    A window of a longer run is `cut_from` the run of that name.
+    """
+
+    name: str = eqx.field(static=True)
+    role: str = eqx.field(static=True)
+    times: Float[Array, " n"]
+    pose: Float[Array, "n 3"]
+    gait: Gait
+    payload: Float[Array, "2"] = eqx.field(default_factory=lambda: jnp.zeros(2))
+    moving: bool = eqx.field(static=True, default=False)
+    log: LogClock | None = eqx.field(static=True, default=None)
+    wander: Float[Array, "n 3 q"] | None = None
+    cut_from: str | None = eqx.field(static=True, default=None)
+
+    @property
+    def recorded_as(self) -> str:
+        """The name of the recorded run: of a window that of the run it is cut from."""
+        return self.name if self.cut_from is None else self.cut_from
+
+
+class Noise(eqx.Module):
+    """Standard deviation of one sample: `position` [m] of x and of y, `heading` [rad]; `source` says whence.
+
+    `correlation` [s]: time over which it wanders, where that is stated.
+    """
+
+    position: Scalar
+    heading: Scalar
+    source: str = eqx.field(static=True)
+    correlation: float | None = eqx.field(static=True, default=None)
+
+    @property
+    def channels(self) -> Float[Array, "3"]:
+        """The standard deviations of x, y and heading."""
+        return jnp.stack([jnp.asarray(s) for s in (self.position, self.position, self.heading)])
+
+
+class NeededAccuracy(NamedTuple):
+    """What a user needs of a simulation: errors of at most `position` [m] and `heading` [rad] after `horizon` [s]."""
+
+    position: float
+    heading: float
+    horizon: float
+
+
+class Case(eqx.Module):
+    """A board and its recorded runs, as a case folder describes them; the `area` from (x, y) to (x, y) [m] in which it
+    was recorded, where that is stated; by run, what `reading` its file decided that the file does not say;
+    `constant_sd`: standard deviations of constants of the board [SI] by field name, where they are stated; `needed`:
+    the accuracy that a simulation must have, where it is stated; `search`: criteria of the search for effects, by name.
+    """
+
+    name: str = eqx.field(static=True)
+    title: str = eqx.field(static=True)
+    constraint: str = eqx.field(static=True)
+    board: Board
+    runs: tuple[Run, ...]
+    noise: Noise | None = None
+    sha256: dict[str, str] = eqx.field(static=True, default_factory=dict)
+    area: tuple[float, float, float, float] | None = eqx.field(static=True, default=None)
+    reading: dict[str, tuple[str, ...]] = eqx.field(static=True, default_factory=dict)
+    constant_sd: dict[str, float] = eqx.field(static=True, default_factory=dict)
+    needed: NeededAccuracy | None = eqx.field(static=True, default=None)
+    search: dict[str, float] = eqx.field(static=True, default_factory=dict)
+
+    def having(self, role: str) -> tuple[Run, ...]:
+        """The runs of `role` "train" or "heldout"."""
+        return tuple(run for run in self.runs if run.role == role)

@@ -1,0 +1,16 @@
+from .dask_executor import cluster as cluster
+from .ensemble import simulate_many as simulate_many
+from .ensemble import stacked as stacked
+from .integrate import Accuracy as Accuracy
+from .integrate import Trajectory as Trajectory
+from .integrate import motions as motions
+from .integrate import simulate as simulate
+from .inverse_dynamics import effort as effort
+from .inverse_dynamics import torques as torques
+from .parameter_sweep import Axes as Axes
+from .parameter_sweep import grid as grid
+from .parameter_sweep import sweep as sweep
+from .parameter_sweep import table as table
+from .rayleigh_match import Polynomial as Polynomial
+from .rayleigh_match import nearest_rayleigh as nearest_rayleigh
+from .rayleigh_match import polynomial as polynomial

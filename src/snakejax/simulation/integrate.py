@@ -1,0 +1,184 @@
+"""Simulation of one run: integration of the equations of motion with diffrax."""
+
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import Any, Literal
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from snakejax.core.jax_config import require_x64
+from snakejax.core.parameter import Scalar
+from snakejax.dynamics.contact import Motion
+from snakejax.dynamics.inputs import Gait
+from snakejax.dynamics.model import Model
+
+NUDGE = 1e-9
+"""Speed [m/s, rad/s] of the finite difference that gives the stiffness at rest."""
+STEPS_A_SAMPLE = 8
+"""Steps allowed for each sample of a long recording, if that is more than `Accuracy.max_steps`."""
+
+
+class Accuracy(eqx.Module):
+    """Accuracy of the integration: Tsit5 with local error below `atol + rtol |state|`, or with a fixed `step` [s].
+
+    `derivative` is the automatic derivative that can be taken: "reverse" (`jax.grad`, `jax.vjp`) or "forward"
+    (`jax.jvp`, `jax.jacfwd`). With a fixed step the steps do not depend on the parameters.
+    """
+
+    rtol: float = eqx.field(static=True, default=1e-8)
+    atol: float = eqx.field(static=True, default=1e-9)
+    step: float | None = eqx.field(static=True, default=None)
+    max_steps: int = eqx.field(static=True, default=65536)
+    derivative: Literal["reverse", "forward"] = eqx.field(static=True, default="reverse")
+
+
+class Trajectory(eqx.Module):
+    """A simulated run: `times` (n,) [s] and the reported `pose` (n, 3): x, y [m], heading [rad].
+
+    `state` is the state of the model with a leading axis n; `command_times` (n,) [s] are its times, which differ from
+    `times` by the delay of the model. `finished` is False if the solver failed; the pose is then infinite.
+    """
+
+    times: Float[Array, " n"]
+    pose: Float[Array, "n 3"]
+    state: Any
+    command_times: Float[Array, " n"]
+    finished: Bool[Array, ""]
+
+
+def simulate(
+    model: Model,
+    gait: Gait,
+    times: Float[Array, " n"],
+    start: Sequence[float] | Float[Array, " k"] = (0.0, 0.0, 0.0),
+    *,
+    accuracy: Accuracy = Accuracy(),  # noqa: B008
+    throw: bool = True,
+    resting: Bool[Array, ""] | bool = False,
+) -> Trajectory:
+    """Integrate `model` under `gait` and report its pose at `times`.
+
+    `jax.jit`, `jax.vmap` and the derivative that `accuracy` names apply to it, over any leaf.
+
+    **Arguments:** `times` [s] (n,), increasing. `start`: three numbers (x [m], y [m], heading [rad]) for a start at
+    rest at time 0 (earlier if the logged joints begin to move earlier); or six numbers at `times[0]`, (x, y, heading,
+    u, w, r) under `free` and (x, y, heading, u, beta, s) under `coupled`, optionally followed by the memories of
+    `Model.initial_state`. `resting`: six numbers with zero velocities are a start at rest. `throw`: raise an error if
+    the solver fails; else `Trajectory.finished` is False.
+
+    **Raises:** `RuntimeError` without double precision; `ValueError` for a wrong shape of `start`; the error of the
+    solver if it does not reach the accuracy.
+    """
+    require_x64()
+    times, start = jnp.asarray(times), jnp.asarray(start, jnp.float64)
+    if start.shape not in ((3,), (6,), (6 + model.memories,)):
+        raise ValueError(f"Argument `start` must have 3 or 6 numbers, but its shape is {start.shape}.")
+    delayed, begins = times - model.delay(), gait.begins()
+    if start.shape == (3,):
+        t0, delayed = begins, jnp.maximum(delayed, begins)
+        state = model.start((start[0], start[1], start[2]))
+    else:
+        # A board at rest at its start was at rest before, whatever the delay of the clocks.
+        t0 = jnp.where(resting, begins, delayed[0])
+        delayed = jnp.where(resting, jnp.maximum(delayed, begins), delayed)
+        state = model.initial_state(tuple(start[k] for k in range(start.shape[0])), t0, gait)
+    states, finished = _integrate(model, gait, state, t0, delayed, accuracy, throw)
+    pose = jnp.stack(model.observe(states[0]), axis=-1)
+    return Trajectory(times, jnp.where(finished, pose, jnp.inf), states, delayed, finished)
+
+
+def _integrate(
+    model: Model, gait: Gait, state: Any, t0: Scalar, times: Float[Array, " n"], accuracy: Accuracy, throw: bool
+) -> tuple[Any, Bool[Array, ""]]:
+    forward = accuracy.derivative == "forward"
+    most_steps = max(accuracy.max_steps, STEPS_A_SAMPLE * times.shape[0])
+    if accuracy.step is None:
+        # Near rest the tyre is stiff and stability limits the step. Beyond that limit the derivatives would grow, which
+        # the error control does not measure; with these proportional and integral gains the step does not overshoot.
+        gains = {"pcoeff": 0.2, "icoeff": 0.4, "safety": 0.8, "norm": _error_size(len(jax.tree.leaves(state[0])))}
+        # The bound uses at most half of the steps; the others remain for the time in which the board moves.
+        most = jnp.maximum(_stable_at_rest(model, gait, state, t0), 2 * (times[-1] - t0) / most_steps)
+        controller = _RestBoundedPIDController(rtol=accuracy.rtol, atol=accuracy.atol, from_rest=most, **gains)
+        dt0 = jnp.minimum(1e-3, most)
+    else:
+        controller, dt0 = diffrax.ConstantStepSize(), accuracy.step
+    # diffrax fails on an empty tuple inside the state, so it integrates the list of leaves.
+    leaves, structure = jax.tree.flatten(state)
+
+    def rates(t: Scalar, y: list[Scalar], args: Gait) -> list[Scalar]:
+        return jax.tree.leaves(model.rates(t, jax.tree.unflatten(structure, y), args))
+
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(rates),
+        diffrax.Tsit5(),
+        t0=t0,
+        t1=jnp.maximum(times[-1], t0 + 1e-9),
+        dt0=dt0,
+        y0=leaves,
+        args=gait,
+        saveat=diffrax.SaveAt(ts=times),
+        stepsize_controller=controller,
+        adjoint=diffrax.ForwardMode() if forward else diffrax.RecursiveCheckpointAdjoint(),
+        max_steps=most_steps,
+        throw=throw,
+    )
+    return jax.tree.unflatten(structure, solution.ys), solution.result == diffrax.RESULTS.successful
+
+
+@cache
+def _error_size(count: int) -> Callable[[list[Scalar]], Scalar]:
+    """Error norm sqrt(sum of squares / count), with `count` the number of states of the board.
+
+    Memories of effects at neutral value have no error; counting them would make the other errors appear smaller.
+    """
+
+    def size(errors: list[Scalar]) -> Scalar:
+        square = sum((error**2 for error in errors), jnp.zeros(())) / count
+        moving = square > 0
+        return jnp.where(moving, jnp.sqrt(jnp.where(moving, square, 1.0)), 0.0)
+
+    return size
+
+
+class _RestBoundedPIDController(diffrax.PIDController):
+    """PID step size control that also bounds the step while the board is at rest.
+
+    At rest no step has an error, so steps would grow far beyond the stability limit: the state would stay at rest, but
+    its derivatives would grow without bound. After a step that changes no state the next one is at most `from_rest`
+    [s].
+    """
+
+    from_rest: Scalar = eqx.field(default_factory=lambda: jnp.asarray(jnp.inf))
+
+    def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state):
+        """The step of `diffrax.PIDController`, bounded by `from_rest` while no state changes."""
+        keep, begin, end, jumped, memory, result = super().adapt_step_size(
+            t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
+        )
+        same = [jnp.all(a == b) for a, b in zip(jax.tree.leaves(y0), jax.tree.leaves(y1_candidate), strict=True)]
+        end = jnp.where(jnp.all(jnp.stack(same)), jnp.minimum(end, begin + self.from_rest), end)
+        return keep, begin, end, jumped, memory, result
+
+
+def _stable_at_rest(model: Model, gait: Gait, state: Any, t: Scalar) -> Scalar:
+    """The longest step [s] near rest, 2 / fastest decay rate: inside the stability interval of Tsit5."""
+    body, memories = jax.tree.map(jnp.zeros_like, state)
+    nudged = (*body[:3], *(part + NUDGE for part in body[3:]))
+    rates = [jax.tree.leaves(model.rates(t, (at, memories), gait)[0])[3:] for at in (body, nudged)]
+    fastest = jnp.max(jnp.abs(jnp.stack(rates[1]) - jnp.stack(rates[0]))) / NUDGE
+    return 2.0 / jnp.maximum(jax.lax.stop_gradient(fastest), 1.0)
+
+
+def motions(model: Model, gait: Gait, trajectory: Trajectory) -> tuple[Motion, tuple[Float[Array, " n"], ...]]:
+    """The motion at every sample of `trajectory`, and the lateral tyre force F_i [N] (n,) of each wheelset."""
+
+    def at(t: Scalar, state: Any) -> tuple[Any, tuple[Scalar, ...]]:
+        motion = model.motion(t, state[0], gait)
+        forces = model.traction(motion, state[1])
+        return motion._replace(wheels=tuple(w._replace(wheelset=None) for w in motion.wheels), board=None), forces
+
+    return jax.vmap(at)(trajectory.command_times, trajectory.state)

@@ -1,0 +1,30 @@
+"""Shell completion, asked of a real shell."""
+
+import shutil
+import subprocess
+
+import pytest
+
+from snakejax.cli import main
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="bash is not installed.")
+@pytest.mark.parametrize(("words", "offered"), [(("fi",), "fit"), (("fit", "--ani"), "--animate")])
+def test_bash_completes(words: tuple[str, ...], offered: str, capsys, tmp_path) -> None:
+    assert main(["completion", "bash"]) == 0
+    script = tmp_path / "completion.sh"
+    script.write_text(capsys.readouterr().out, encoding="utf-8")
+    typed = " ".join(("snakejax", *words))
+    ask = (
+        f"source {script}; COMP_WORDS=({typed}); COMP_CWORD={len(words)}; COMP_LINE='{typed}'; "
+        "completer=$(complete -p snakejax | sed 's/.*-F \\([^ ]*\\).*/\\1/'); "
+        f"$completer snakejax {words[-1]} snakejax; printf '%s\\n' \"${{COMPREPLY[@]}}\""
+    )
+    done = subprocess.run(["bash", "-c", ask], capture_output=True, text=True)
+    assert offered in done.stdout.split(), done.stderr
+
+
+def test_another_shell_is_refused_in_one_line(capsys) -> None:
+    assert main(["completion", "powershell"]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("snakejax: error:") and "bash" in said and said.count("\n") == 1

@@ -1,0 +1,119 @@
+"""The search for effects on Gram matrices, on made-up linear problems with a known answer."""
+
+from collections import OrderedDict
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from snakejax.diagnosis.inexact.explaining import shares_of
+from snakejax.diagnosis.inexact.left_out import LeftOut
+from snakejax.diagnosis.inexact.subsets import (
+    Subsets,
+    best_subset,
+    falls,
+    gains,
+    left_out_errors,
+    prune,
+    substitutes,
+)
+from snakejax.diagnosis.selection.criteria import CRITERIA
+from snakejax.estimation.discrepancy.least_squares import Prior
+
+EFFECTS = "abcdefgh"
+ALWAYS = 2
+
+
+def problem(seed: int, sizes: dict[str, float], samples: int = 400, twins: float = 0.0) -> tuple[Subsets, np.ndarray]:
+    """Two parameters that are always free and eight effects of one parameter; `sizes` are those that act, in standard
+    errors. With `twins`, the column of h is that of a but for so much. Also the Gram matrices of four runs."""
+    rng = np.random.default_rng(seed)
+    D = rng.normal(size=(samples, ALWAYS + len(EFFECTS)))
+    D[:, -1] = (1 - twins) * D[:, -1] + twins * D[:, ALWAYS]
+    truth = np.zeros(D.shape[1])
+    truth[:ALWAYS] = 1.0
+    for name, size in sizes.items():
+        truth[ALWAYS + EFFECTS.index(name)] = size / np.sqrt(samples)
+    y = D @ truth + rng.normal(size=samples)
+    runs = np.array([part.T @ part for part in np.split(np.column_stack([y, D]), 4)])
+    width = D.shape[1]
+    return Subsets(
+        runs.sum(axis=0),
+        tuple(range(ALWAYS)),
+        OrderedDict((name, (ALWAYS + k,)) for k, name in enumerate(EFFECTS)),
+        Prior(np.zeros(width), np.full(width, 1e-6)),
+        np.full(width, -np.inf),
+        np.full(width, np.inf),
+    ), runs
+
+
+def test_chi2_of_a_set_is_that_of_least_squares() -> None:
+    made, _ = problem(0, {"a": 20.0})
+    rng = np.random.default_rng(0)
+    D = rng.normal(size=(400, ALWAYS + len(EFFECTS)))
+    y = D[:, :ALWAYS].sum(axis=1) + 1.0 * D[:, ALWAYS] + rng.normal(size=400)
+    kept = D[:, [0, 1, ALWAYS]]
+    residual = y - kept @ np.linalg.lstsq(kept, y, rcond=None)[0]
+    assert made.with_effects("a").chi2 == pytest.approx(residual @ residual, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_what_acts_is_found_from_any_start(seed: int) -> None:
+    made, _ = problem(seed, {"a": 8.0, "c": -9.0, "f": 30.0})
+    for last in ("", "bdh", EFFECTS):
+        assert set(best_subset(made, last, all_at_once=True)) == {"a", "c", "f"}
+
+
+def test_chance_is_taken_for_an_effect_as_often_as_the_level_says() -> None:
+    """Of 8 candidates at the level of 25 in 300 boards without any effect: 0.96 expected, 5 at a level of 0.003."""
+    taken = sum(bool(best_subset(problem(1000 + k, {})[0], "", all_at_once=True)) for k in range(300))
+    level = CRITERIA.significance_level / CRITERIA.nominal_candidates * len(EFFECTS)
+    assert taken <= stats.binom.isf(0.003, 300, level)
+
+
+def test_falls_and_gains_are_one_difference_of_chi2() -> None:
+    made, _ = problem(3, {"a": 10.0})
+    assert falls(made, "ab")["b"] == pytest.approx(gains(made, "a")["b"])
+    assert falls(made, "ab")["a"] > made.threshold("a") > falls(made, "ab")["b"]
+    assert prune(made, "ab") == ["a"]
+
+
+def test_a_twin_costs_little_and_another_much() -> None:
+    made, _ = problem(4, {"a": 12.0}, twins=0.97)
+    costs = substitutes(made, "a", "a")
+    assert costs["h"] < CRITERIA.distinct_chi2 < min(cost for name, cost in costs.items() if name != "h")
+
+
+def test_a_number_that_is_none_is_no_evidence() -> None:
+    made, _ = problem(5, {})
+    assert made.p_value("a", float("nan")) == 1.0
+
+
+def test_a_run_left_out_is_predicted_from_the_others() -> None:
+    made, runs = problem(6, {"a": 15.0})
+    found = left_out_errors(made, runs, runs, "a")
+    for k in range(len(runs)):
+        step = made.with_effects("a", runs.sum(axis=0) - runs[k]).step
+        weights = np.concatenate([[1.0], -step])
+        assert found[k] == pytest.approx(weights @ runs[k] @ weights)
+    assert found.sum() < left_out_errors(made, runs, runs, "").sum()
+
+
+def test_an_effect_predicts_where_it_acts() -> None:
+    made, runs = problem(7, {"a": 15.0})
+
+    class Linear:
+        subsets, gram = made, runs
+
+    judged = LeftOut(Linear, runs, 400)  # type: ignore[arg-type]
+    assert judged.gain("ab", "a").predicts
+    assert 0 < judged.gain("ab", "a").share < judged.explained_share("a") + 0.05
+    assert judged.gain("ab", "b").share < 0.02
+
+
+def test_shares_of_steps_add_up() -> None:
+    from helpers.made_up_explanation import story
+
+    steps = story().steps
+    share, whole = shares_of(steps)
+    assert sum(share.values()) == pytest.approx(whole)

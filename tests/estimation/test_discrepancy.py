@@ -1,0 +1,274 @@
+"""The filter of segments against dense matrices, its optimum against scipy, and strengths that are found again."""
+
+from functools import cache
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.small_case import small
+from scipy import optimize, stats
+
+from snakejax import Accuracy, Model, Pacejka, simulate
+from snakejax.effects import GroundSlope
+from snakejax.estimation.discrepancy.kalman import (
+    Discrepancy,
+    SegmentData,
+    gram_matrices,
+    open_loop_sd,
+    segment_data,
+    smooth,
+)
+from snakejax.estimation.discrepancy.least_squares import Prior, optimum, quadratic
+from snakejax.estimation.discrepancy.segments import BODY, FORCE, LENGTH, LinearisedSegments, Segments, cut_segments
+from snakejax.estimation.discrepancy.strength import (
+    Scales,
+    estimate_discrepancy,
+    restricted_likelihood,
+    scales_of,
+)
+
+K, N, P = 3, 4, 2
+NZ = BODY + FORCE
+SIZE = NZ + 3
+DISCREPANCY = Discrepancy(np.array([0.1, 0.1, 0.2]), np.array([0.3, 0.3, 0.1]), 0.4, np.array([0.5, 0.4, 0.3]), 0.7)
+
+
+def made_up(seed: int, lost: bool = True) -> SegmentData:
+    """One run of random matrices."""
+    rng = np.random.default_rng(seed)
+    transition, shift = np.zeros((1, K, NZ, NZ)), np.zeros((1, K, NZ, P + 1))
+    transition[:, 1:, :BODY] = 0.4 * rng.normal(size=(1, K - 1, BODY, NZ))
+    shift[:, 1:, :BODY] = rng.normal(size=(1, K - 1, BODY, P + 1))
+    gap = np.full((1, K, N), LENGTH / N)
+    gap[0, 0, 0] = 0.0
+    present = np.ones((1, K, N, 3))
+    if lost:
+        present[0, 1, 2] = 0.0
+        present[0, 2, 1, 2] = 0.0
+    return SegmentData(
+        rng.normal(size=(1, K, N, 3, P + 1)),
+        rng.normal(size=(1, K, N, 3, NZ)),
+        present,
+        transition,
+        shift,
+        gap,
+        rng.normal(size=(1, K, FORCE)),
+        np.zeros(1),
+    )
+
+
+def dense(data: SegmentData, of: Discrepancy) -> tuple[np.ndarray, float, np.ndarray]:
+    """Gram matrix, log determinant and smoothed states of one run from the covariance of everything at once."""
+    a = np.exp(-LENGTH / of.force_time)
+    # Sources: start state, force innovations of each segment, wandering noise of each sample; all are independent.
+    starts, kicks, samples = NZ, FORCE * (K - 1), 3 * K * N
+    total = starts + kicks + samples
+    scale = np.concatenate([np.ones(BODY), of.force, np.tile(of.force * np.sqrt(1 - a**2), K - 1), np.ones(samples)])
+    Z, mean = np.zeros((K, NZ, total)), np.zeros((K, NZ, P + 1))
+    Z[0, :, :NZ] = np.eye(NZ)
+    mean[0, BODY:, 0] = -data.force[0, 0]
+    for k in range(1, K):
+        F = data.transition[0, k].copy()
+        F[BODY:] = 0.0
+        F[range(BODY, NZ), range(BODY, NZ)] = a
+        Z[k], mean[k] = F @ Z[k - 1], F @ mean[k - 1] + data.shift[0, k]
+        mean[k, BODY:, 0] += a * data.force[0, k - 1] - data.force[0, k]
+        Z[k, BODY:, NZ + FORCE * (k - 1) : NZ + FORCE * k] += np.eye(FORCE)
+    rows, columns, noise, wander, times = [], [], [], [], np.cumsum(data.gap[0].reshape(-1))
+    for k in range(K):
+        for j in range(N):
+            for c in range(3):
+                if data.present[0, k, j, c]:
+                    h = data.state[0, k, j, c]
+                    rows.append(h @ Z[k])
+                    columns.append(data.columns[0, k, j, c] - h @ mean[k])
+                    noise.append(of.white[c] ** 2)
+                    wander.append((times[k * N + j], c))
+    H, Y = np.array(rows), np.array(columns)
+    V = H * scale**2 @ H.T + np.diag(noise)
+    t, channel = np.array([w[0] for w in wander]), np.array([w[1] for w in wander])
+    V += np.where(
+        channel[:, None] == channel,
+        np.exp(-np.abs(t[:, None] - t) / of.wander_time) * (of.wander[channel] ** 2)[:, None],
+        0.0,
+    )
+    inverse = np.linalg.inv(V)
+    states = np.array([mean[k] + Z[k] * scale**2 @ H.T @ inverse @ Y for k in range(K)])
+    return Y.T @ inverse @ Y, float(np.linalg.slogdet(V)[1]), states
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_filter_is_generalised_least_squares(seed: int) -> None:
+    data = made_up(seed)
+    gram, logs, _ = dense(data, DISCREPANCY)
+    found, found_logs = gram_matrices(data, DISCREPANCY)
+    np.testing.assert_allclose(found[0], gram, rtol=1e-9)
+    np.testing.assert_allclose(found_logs[0], logs, rtol=1e-9)
+
+
+def test_states_are_smoothed_by_all_samples() -> None:
+    data, step = made_up(5), np.array([0.3, -0.7])
+    states = dense(data, DISCREPANCY)[2] @ np.concatenate([[1.0], -step])
+    np.testing.assert_allclose(smooth(data, DISCREPANCY, step)[0], states, rtol=1e-6, atol=1e-8)
+
+
+def test_restarts_part_a_run() -> None:
+    """With a restart at every segment the Gram matrix is the sum of those of the segments alone."""
+    data = made_up(7, lost=False)
+    far = DISCREPANCY._replace(wander=np.full(3, 1e-9))
+    whole, _ = gram_matrices(data, far, restart_every=1)
+
+    def alone(k: int) -> np.ndarray:
+        part = SegmentData(*(leaf if leaf.ndim == 1 else leaf[:, k : k + 1] for leaf in data))
+        return gram_matrices(part, far)[0][0]
+
+    np.testing.assert_allclose(whole[0], sum(alone(k) for k in range(K)), rtol=1e-9)
+
+
+def test_the_restricted_likelihood_is_that_of_the_samples_with_the_parameters_integrated_out() -> None:
+    data, prior = made_up(3), Prior(np.array([0.2, -0.1]), np.array([0.5, 2.0]))
+    found = restricted_likelihood(data, DISCREPANCY, np.arange(P), prior)
+    gram, logs, _ = dense(data, DISCREPANCY)
+    normal = gram[1:, 1:] + np.diag(prior.precision)
+    right = gram[1:, 0] + prior.precision * prior.mean
+    chi2 = gram[0, 0] + (prior.precision * prior.mean**2).sum() - right @ np.linalg.solve(normal, right)
+    assert found == pytest.approx(logs + chi2 + np.linalg.slogdet(normal)[1], rel=1e-8)
+
+
+def test_an_open_loop_simulation_errs_by_force_and_noise() -> None:
+    data = made_up(2, lost=False)
+    far = DISCREPANCY._replace(force=np.full(3, 1e-12))
+    noise = np.hypot(far.white, far.wander)
+    np.testing.assert_allclose(open_loop_sd(data, far)[0], noise, rtol=1e-9)
+    assert (open_loop_sd(data, DISCREPANCY)[0] > noise).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_bounds_hold_as_in_scipy(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    A, y = rng.normal(size=(30, 5)), rng.normal(size=30)
+    gram = np.column_stack([y, A]).T @ np.column_stack([y, A])
+    prior = Prior(rng.normal(size=5), rng.uniform(0.1, 2.0, 5))
+    low, high = np.full(5, -0.1), np.full(5, 0.15)
+    fixed = np.array([0.0, 0.0, 0.0, 0.0, 0.05])
+    found = optimum(gram, [0, 1, 2, 3], prior, fixed, low, high)
+    root = np.sqrt(prior.precision[:4])
+    stacked = np.vstack([A[:, :4], np.diag(root)])
+    right = np.concatenate([y - 0.05 * A[:, 4], root * prior.mean[:4]])
+    expected = optimize.lsq_linear(stacked, right, (low[:4], high[:4]), tol=1e-14)
+    np.testing.assert_allclose(found.step[:4], expected.x, atol=1e-7)
+    assert found.step[4] == 0.05
+    assert found.chi2 == pytest.approx(2 * expected.cost, rel=1e-9)
+    penalty = (prior.precision[:4] * (found.step[:4] - prior.mean[:4]) ** 2).sum()
+    assert quadratic(gram, found.step) + penalty == pytest.approx(found.chi2, rel=1e-9)
+
+
+NAMES = ("tyre.D", "effects.ground_slope.sx", "board.mass")
+
+
+@cache
+def segments() -> Segments:
+    """Segments of two short runs of a board that skids."""
+    case, _, _ = small()
+    model = Model(case.board, Pacejka(8.0, 1.3, 0.9, 0.2), "free", {"ground_slope": GroundSlope()})
+    return Segments(model, case.runs, NAMES)
+
+
+def test_segments_hold_every_sample_once() -> None:
+    cut = segments().cut
+    for k, run in enumerate(segments().runs):
+        of_run = cut.run == k
+        present = cut.present[of_run].reshape(-1, 3)[: len(run.times)]
+        np.testing.assert_array_equal(present > 0, np.isfinite(np.asarray(run.pose)))
+        times = cut.times[of_run][:, :-1].reshape(-1)[: len(run.times)]
+        np.testing.assert_allclose(times, np.asarray(run.times))
+    assert cut_segments(segments().runs).runs == len(segments().runs)
+
+
+def simulated_states() -> tuple[np.ndarray, np.ndarray]:
+    """True states (S, nz) at the start of each segment, and poses, of a simulation of all runs."""
+    cut, run = segments().cut, segments().runs[0]
+    model = segments().model.without("segment_force")
+    times = np.append(np.asarray(run.times), float(run.times[-1]) + 0.01)
+    done = simulate(model, run.gait, jnp.asarray(times), accuracy=Accuracy(rtol=1e-11, atol=1e-12))
+    body = np.stack([np.asarray(leaf) for leaf in done.state[0]], axis=1)
+    n = cut.pose.shape[1]
+    z = np.concatenate([body[: len(run.times) : n]] * cut.runs)
+    return np.concatenate([z, np.zeros((len(z), FORCE))], axis=1), np.asarray(done.pose)
+
+
+def test_segments_are_pieces_of_the_simulation_and_their_derivatives_its_slopes() -> None:
+    s = segments()
+    z, pose = simulated_states()
+    values = np.array([0.9, 0.0, 7.0])
+    at = s.linearise(values, z)
+    n = s.cut.pose.shape[1]
+    whole = at.pose[s.cut.run == 0].reshape(-1, 3)[: len(pose) - 1]
+    np.testing.assert_allclose(whole[n:], pose[n:-1], atol=2e-7)
+    # The start from rest is stiff: a hundredth of the noise.
+    np.testing.assert_allclose(whole[:n], pose[:n], atol=2.5e-5)
+    # The end of a segment is the start of the next.
+    np.testing.assert_allclose(at.end[1 : len(pose) // n - 1], z[2 : len(pose) // n, :BODY], atol=1e-6)
+    for k, step in enumerate((1e-5, 1e-6, 1e-5)):
+        move = np.zeros(3)
+        move[k] = step
+        up, down = (s.linearise(s.moved(values, sign * move), z) for sign in (1, -1))
+        np.testing.assert_allclose((up.pose - down.pose) / (2 * step), at.pose_p[..., k], rtol=1e-4, atol=1e-6)
+        np.testing.assert_allclose((up.end - down.end) / (2 * step), at.end_p[..., k], rtol=1e-4, atol=1e-5)
+    move = np.zeros(NZ)
+    move[-1] = 1e-4  # a yaw moment
+    up, down = (s.linearise(values, z + sign * move) for sign in (1, -1))
+    np.testing.assert_allclose((up.end - down.end) / 2e-4, at.end_z[..., -1], rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.slow
+def test_noise_and_force_are_found_again() -> None:
+    """The truth is within the range of the likelihood ratio of nine strengths, at a level of 0.001."""
+    truth = Discrepancy(
+        np.array([3e-4, 3e-4, 1e-3]), np.array([5e-4, 5e-4, 1.5e-3]), 0.2, np.array([0.2, 0.1, 0.05]), 0.6
+    )
+    s = segments()
+    z, _ = simulated_states()
+    at = s.linearise(np.array([0.9, 0.0, 7.0]), z)
+    rng = np.random.default_rng(0)
+    cut = s.cut._replace(pose=at.pose + drawn(at, s, truth, rng))
+    data = segment_data(cut, at, z)
+    scales = Scales(np.array([6e-4, 6e-4, 2e-3]), np.array([1.0, 1.0, 0.5]))
+    prior = Prior(np.zeros(3), np.full(3, 1e4))
+    found, least = estimate_discrepancy(data, scales.first_guess(), np.arange(3), prior, scales, 60)
+    ratio = restricted_likelihood(data, truth, np.arange(3), prior) - least
+    assert 0 < ratio < stats.chi2.isf(0.001, 9)
+    # What many samples tell, within a tenth.
+    np.testing.assert_allclose(found.white, truth.white, rtol=0.1)
+    np.testing.assert_allclose(found.wander, truth.wander, rtol=0.35)
+
+
+def drawn(at: LinearisedSegments, s: Segments, truth: Discrepancy, rng: np.random.Generator) -> np.ndarray:
+    """Deviations (S, n, 3) of the samples: of a random force, by the linear model, and of noise."""
+    cut, dz = s.cut, np.zeros((len(s.cut.run), NZ))
+    a = np.exp(-LENGTH / truth.force_time)
+    deviation = np.zeros_like(cut.pose)
+    b = np.exp(-0.01 / truth.wander_time)
+    for k in range(len(dz)):
+        if cut.first[k]:
+            force, wander = truth.force * rng.normal(size=3), truth.wander * rng.normal(size=3)
+            dz[k] = np.concatenate([np.zeros(BODY), force])
+        else:
+            force = a * force + np.sqrt(1 - a**2) * truth.force * rng.normal(size=3)
+            dz[k] = np.concatenate([at.end_z[k - 1] @ dz[k - 1], force])
+        for j in range(cut.pose.shape[1]):
+            wander = b * wander + np.sqrt(1 - b**2) * truth.wander * rng.normal(size=3)
+            deviation[k, j] = at.pose_z[k, j] @ dz[k] + wander + truth.white * rng.normal(size=3)
+    return deviation
+
+
+def test_scales_are_those_of_the_motion() -> None:
+    scales = scales_of(segments(), np.array([4e-4, 4e-4, 2.5e-3]))
+    z, _ = simulated_states()
+    board = segments().model.board
+    first = z[segments().cut.run == 0]
+    change = np.diff(first[:, 3:6], axis=0) / LENGTH
+    expected = np.sqrt((change[:, 2] ** 2).mean()) * float(board.total_inertia)
+    assert scales.force[2] == pytest.approx(expected, rel=0.5)
+    low, high = scales.bounds()
+    assert (low < high).all()

@@ -1,0 +1,86 @@
+"""Levenberg and Marquardt's least squares on problems whose minimum is known, and the bounds of parameters."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from snakejax.core.parameter import Domain
+from snakejax.estimation.least_squares import REACH, Variables, retract
+from snakejax.estimation.levenberg_marquardt import StoppingRule, levenberg_marquardt
+
+
+def rule(enough=1e-12, crawl=0.0, samples=1e9, most=60):
+    return StoppingRule(jnp.asarray(enough), jnp.asarray(crawl), jnp.asarray(samples), jnp.asarray(most))
+
+
+def minimum(residuals, start, unit=1.0, **ending):
+    """z, the residuals there, the number of steps, and whether nothing is left to gain."""
+    z, r, steps, settled = levenberg_marquardt(
+        lambda z, _: (residuals(z), residuals(z)), jnp.asarray(start), jnp.asarray(unit), rule(**ending)
+    )
+    return np.asarray(z), np.asarray(r), int(steps), bool(settled)
+
+
+def test_a_quadratic_ends_where_the_normal_equations_say():
+    draw = np.random.default_rng(0)
+    # Columns of sizes from 1e-3 to 1e3: the steps must not depend on units.
+    J, y = draw.normal(size=(40, 4)) * np.array([1e-3, 1.0, 30.0, 1e3]), draw.normal(size=40)
+    z, r, _, settled = minimum(lambda z: jnp.asarray(J) @ z - jnp.asarray(y), np.zeros(4))
+    best = np.linalg.lstsq(J, y, rcond=None)[0]
+    np.testing.assert_allclose(z * np.abs(J).max(axis=0), best * np.abs(J).max(axis=0), atol=1e-6)
+    np.testing.assert_allclose(r, J @ best - y, atol=1e-6)
+    assert settled
+
+
+def test_the_valley_of_rosenbrock_is_followed_to_its_end():
+    z, _, steps, settled = minimum(lambda z: jnp.stack([10 * (z[1] - z[0] ** 2), 1 - z[0]]), [-1.2, 1.0])
+    np.testing.assert_allclose(z, [1.0, 1.0], atol=1e-6)
+    assert settled and steps < 60
+
+
+def test_the_first_step_is_damped_by_the_unit():
+    """min |J d + r|^2 + |D d|^2 / unit^2, D the norms of the columns; of the first two steps one looks at the start."""
+    draw = np.random.default_rng(3)
+    J, r, unit = draw.normal(size=(30, 3)) * np.array([1.0, 20.0, 300.0]), draw.normal(size=30), 2.0
+    z, _, steps, settled = minimum(lambda z: jnp.asarray(J) @ z + jnp.asarray(r), np.zeros(3), unit=unit, most=2)
+    assert steps == 2 and not settled
+    normal = J.T @ J
+    np.testing.assert_allclose(z, -np.linalg.solve(normal + np.diag(np.diag(normal)) / unit**2, J.T @ r), rtol=1e-9)
+
+
+def test_a_fit_ends_where_a_step_promises_less_than_enough():
+    """The promised fall of chi^2 is |r|^2 = 4: enough where 5 is asked for, not where 3 is."""
+    for enough, ends in ((5.0, True), (3.0, False)):
+        _, _, _, settled = minimum(lambda z: z - 2.0, [0.0], unit=0.1, enough=enough, most=1)
+        assert settled is ends
+
+
+def test_a_step_across_a_bound_is_reflected_and_a_wild_one_ends_inside():
+    between = Domain("m", -1.0, 2.0, False, False)
+    moved = [float(retract([between], at(1.5), jnp.asarray([step]))[0]) for step in (0.3, 1.0, -3.0, 50.0, -50.0)]
+    np.testing.assert_allclose(moved, [1.8, 1.5, -0.5, -1.0, 2.0])
+
+
+def test_a_multiplicative_step_is_a_factor_and_saturates():
+    stiffness = Domain("-", 0.0, np.inf, True, True)
+    assert float(retract([stiffness], at(8.0), jnp.asarray([1e-4]))[0]) == pytest.approx(8.0 * np.exp(1e-4), rel=1e-9)
+    assert float(retract([stiffness], at(8.0), jnp.asarray([-100.0]))[0]) == pytest.approx(8.0 * np.exp(-REACH))
+
+
+def test_a_minimum_beyond_a_bound_ends_on_the_bound():
+    """chi^2 = (v + 1)^2 + (2 v + 1)^2 is least at v = -0.6, and on 0 <= v at v = 0."""
+    positive = Domain("N", 0.0, np.inf, False, False)
+
+    def value(z):
+        return retract([positive], at(1.0), jnp.asarray(z))
+
+    z, r, _, _ = minimum(lambda z: jnp.concatenate([value(z) + 1, 2 * value(z) + 1]), np.zeros(1))
+    np.testing.assert_allclose(value(z), [0.0], atol=1e-6)
+    np.testing.assert_allclose(r, [1.0, 1.0], atol=1e-5)
+
+
+def at(*values: float) -> Variables:
+    """A point where every parameter is free."""
+    names = tuple(f"p{k}" for k in range(len(values)))
+    none = jnp.zeros((0, 6))
+    return Variables(names, jnp.asarray(values), jnp.eye(len(values)), none, none)

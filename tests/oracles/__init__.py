@@ -1,0 +1,1 @@
+"""What tests compare with: independent solutions, and recordings spoiled in known ways."""

@@ -1,0 +1,338 @@
+"""What a reader is told first: how large the error is, in mm, mrad and multiples of the noise, and of which fit."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from helpers.made_up_explanation import models, result, story
+from helpers.small_case import small
+from rich.console import Console
+
+from snakejax import Fit, Noise, fit
+from snakejax.cli.simulate import _report as simulated
+from snakejax.diagnosis.residuals.comparison import ModelScore, compare
+from snakejax.estimation.fit_workspace import problem_of
+from snakejax.estimation.fitting import fit_result
+from snakejax.estimation.goodness_of_fit import Score
+from snakejax.estimation.initialisation import has_converged
+from snakejax.estimation.replay import fitted_starts, replay
+from snakejax.present import plot
+from snakejax.present.as_json.comparison import comparison_json
+from snakejax.present.as_json.fit import fit_json
+from snakejax.present.as_json.provenance import provenance_json
+from snakejax.present.as_text.comparison import compare_report
+from snakejax.present.as_text.errors import error_text, milli_text, pose_error_text, times_noise, times_noise_text
+from snakejax.present.as_text.explanation import diagnosis_text, explanation_text
+from snakejax.present.as_text.fit import fit_report
+from snakejax.present.report import diagnosis_page, explanation_page, fit_page, tune_page
+from snakejax.present.views import view_of_fit
+
+
+def shown(renderable) -> str:
+    """What a terminal of 80 columns shows, its lines joined."""
+    console = Console(width=80, color_system=None)
+    with console.capture() as capture:
+        console.print(renderable)
+    lines = capture.get().splitlines()
+    assert max(map(len, lines)) <= 80
+    return "\n".join(lines)
+
+
+def joined(text: str) -> str:
+    return re.sub(r"\s+", " ", text)
+
+
+def words(page: str) -> str:
+    """What a reader sees of a page: no scripts, no tags; labels of charts and of axes are read apart."""
+    page = re.sub(r"<(script|style)\b.*?</\1>", "", page, flags=re.S)
+    return joined(re.sub(r"<[^>]*>", " ", page))
+
+
+def charts(page: str) -> dict:
+    return json.loads(re.search(r'<script id="charts" type="application/json">(.*?)</script>', page, re.S)[1])
+
+
+def axis_titles(page: str) -> set[str]:
+    """The titles of all axes and colour bars of a page."""
+    found = {part["title"]["text"] for c in charts(page).values() for k, part in c["layout"].items() if "axis" in k}
+    return found | {t["colorbar"]["title"]["text"] for c in charts(page).values() for t in c["data"] if "colorbar" in t}
+
+
+@pytest.fixture(scope="module")
+def tenfold() -> tuple[Noise, Fit]:
+    """The small case, its noise said to be a tenth of what it is: the fit is off by ten times the noise."""
+    case, noise, found = small()
+    tenth = Noise(noise.position / 10, noise.heading / 10, "given")
+    return tenth, fit(found.model, case.runs, tenth, ["tyre.D"])
+
+
+def off(found: Fit, noise: Noise) -> tuple[float, float, float]:
+    """The error of the train run, counted anew: position [m], heading [rad], and all channels over their noise."""
+    case = small()[0]
+    (run,) = (run for run in case.runs if run.role == "train")
+    pose = replay(found.model, case.runs, fitted_starts(found))[0]
+    left = np.asarray(run.pose) - pose
+    left = left[np.isfinite(left).all(axis=1)]
+    position = np.sqrt(np.mean(left[:, 0] ** 2 + left[:, 1] ** 2))
+    whole = np.sqrt(np.mean((left / np.asarray(noise.channels)) ** 2))
+    return float(position), float(np.sqrt(np.mean(left[:, 2] ** 2))), float(whole)
+
+
+def test_an_error_of_ten_times_the_noise_is_called_so(tenfold) -> None:
+    """Terminal and report tell root mean squares, as counted from the poses themselves."""
+    noise, found = tenfold
+    position, heading, whole = off(found, noise)
+    assert whole == pytest.approx(10, rel=0.1)
+    told = f"{1e3 * position:.3f} mm and {1e3 * heading:.2f} mrad ({whole:.2f} times the noise)"
+    case = small()[0]
+    assert f"train: root mean square error {told}" in joined(shown(fit_report(case, noise, found)))
+    made = fit_json(case, noise, found, provenance_json(0, {}, {}))
+    page = fit_page(case, noise, found, made, view_of_fit(found))
+    assert told in words(page)
+    assert made["base"]["misfit"]["train"] == pytest.approx(whole**2, rel=1e-6), "The JSON keeps the mean square."
+    (bar,) = [bar for bar in charts(page)["chart-falling"]["data"] if bar["name"] == "train runs"]
+    assert bar["y"] == [pytest.approx(whole, rel=1e-6)] and bar["text"] == [f"{whole:.2f}"]
+    every = np.concatenate([t["z"][0] for t in charts(page)["chart-failing-0"]["data"]]).astype(float)
+    assert 10 ** np.nanmean(every) == pytest.approx(10, rel=0.15)
+    for variable in ("gait_phase", "slip", "speed"):
+        assert np.mean(charts(page)[f"chart-against-{variable}"]["data"][0]["y"]) == pytest.approx(10, rel=0.15)
+    sides = (ModelScore("pacejka", found.train_score, found.heldout_score),)
+    (row,) = [
+        line for line in shown(compare_report(compare(found), sides)).splitlines() if line.startswith("  pacejka")
+    ]
+    assert row.split()[1] == f"{whole:.2f}"
+
+
+def test_no_output_calls_a_mean_square_an_error() -> None:
+    """205 is the root of the 42 000 of the story that was made up, 17.7 that of 312, 2.65 that of 7.04."""
+    base = "12.3 mm and 1.00 mrad (205 times the noise)"
+    final = "0.160 mm and 0.130 mrad (2.65 times the noise)"
+    page = explanation_page(story(), result(), models())
+    for text in (joined(shown(explanation_text(story()))), words(page)):
+        assert base in text and final in text and "17.7" in text
+        assert "misfit" not in text.lower() and "4.2e4" not in text
+    text = joined(shown(diagnosis_text(story().case, story().base)))
+    assert base in text and "misfit" not in text.lower()
+    assert re.search(r"ground_slope\S* 1e-310 2\.32 18\.4 ", text), "Roots of 5.4 and of 340."
+    assert not {title for title in axis_titles(page) if "misfit" in title or "squared" in title}
+    assert "misfit" not in " ".join(re.findall(r'aria-label="[^"]*"', page))
+
+
+def heights(axis) -> list[float]:
+    return [bar.get_height() for bar in axis.patches]
+
+
+def test_pictures_show_the_root() -> None:
+    """The bars of the falling error, and the marks of the candidates, in multiples of the noise."""
+    for figure in (plot.fall(story(), models()), plot.waterfall(story())):
+        axis = figure.axes[-1]
+        assert axis.get_ylabel() == "error, multiples of the noise"
+        assert sorted(heights(axis)) == pytest.approx(sorted(np.sqrt([4.2e4, 1.3e5, 312.0, 417.0, 7.04, 9.5])))
+        assert {"205", "17.7", "2.65"} <= {text.get_text() for text in axis.texts}
+    axis = plot.ranking(story().base).axes[0]
+    assert axis.get_xlabel() == "error, multiples of the noise"
+    refitted = np.asarray(axis.collections[1].get_offsets().compressed()).reshape(-1, 2)[:, 0]
+    assert sorted(refitted) == pytest.approx(sorted(np.sqrt([312.0, 340.0, 2.1e4])))
+
+
+@pytest.mark.parametrize(
+    ("misfit", "text"),
+    [(130_524.7, "361"), (0.9989, "0.999"), (1.0, "1.00"), (1e8, "10000"), (1e14, "1.0e7"), (None, ""), (0.0, "0.00")],
+)
+def test_multiples_of_the_noise_have_three_digits(misfit, text) -> None:
+    assert times_noise_text(misfit) == text
+    assert misfit is None or times_noise(misfit) ** 2 == pytest.approx(misfit)
+
+
+@pytest.mark.parametrize(
+    ("metres", "text"),
+    [
+        (0.24958, "250"),
+        (5.6664e-4, "0.567"),
+        (-0.0123, "-12.3"),
+        (1.2344, "1234"),
+        (9.19e-10, "< 0.002"),
+        (4.21e-5, "0.042"),
+    ],
+)
+def test_millimetres_have_three_digits_and_none_below_a_micrometre(metres, text) -> None:
+    assert milli_text(metres) == text
+
+
+def test_what_is_not_finite_is_said() -> None:
+    assert error_text(Score(np.inf, np.nan, 0.1, 3)) == "not finite mm and 100 mrad (not finite times the noise)"
+
+
+def test_a_title_is_not_precise_to_nanometres() -> None:
+    """A pose that a tuned gait reaches to within rounding."""
+    assert pose_error_text(9.19e-10, 1.99e-10) == "less than 0.002 mm and 0.002 mrad"
+    t = [0.1 * k for k in range(20)]
+    path = {"t": t, "x": t, "y": t, "heading": t, "phi": t, "psi": t}
+    missed = {"position_error_m": 9.19e-10, "heading_error_rad": 1.99e-10}
+    far = {"position_error_m": 0.5601, "heading_error_rad": 0.98}
+    side = {"gait": None, "objective": missed, "effort_n2m2s": 1.0, "path": path}
+    tuned = {"schema": 1, "case": "small", "model": "pacejka", "skid": "free", "provenance": provenance_json(0, {}, {})}
+    tuned |= {"asked": "reach:0.5,0.3,1", "duration_s": 8.0, "start": [0.0, 0.0, 0.0], "objective": missed, "met": True}
+    tuned |= {"gait": {"phi": [[0.3, 4.0, 0.1]], "psi": [[1.0, 4.0, 0.0]]}, "limits": {"phi": 0.9, "psi": 1.6}}
+    tuned |= {
+        "reached": {"phi": 0.31, "psi": 1.0},
+        "before": {**side, "objective": far},
+        "after": side,
+        "spread": [missed, far],
+    }
+    page = tune_page(tuned)
+    headline = re.search("<h1>(.*?)</h1>", page)[1]
+    assert headline == (
+        "small: the pose is missed by less than 0.002 mm and 0.002 mrad; the best known gait misses it by 560"
+        " mm and 980 mrad."
+    )
+    assert {"position error [mm]", "heading error [mrad]"} <= axis_titles(page)
+    assert charts(page)["chart-spread-position_error_m"]["data"][0]["y"][1] == pytest.approx(560.1)
+    legend = [text.get_text() for text in plot.tuned(tuned).axes[0].get_legend().get_texts()]
+    assert legend == [
+        "best known: off by 560 mm and 980 mrad",
+        "tuned: off by less than 0.002 mm and 0.002 mrad",
+    ]
+
+
+STOPPED = ("base", "rotor_gain", "quadratic_drag", "lateral_skid")
+"""Two fits of the story, and two refits of candidates, that were given up on their way."""
+LINE = "The fits of base and added rotor_gain did not converge: their errors and values are less certain than"
+
+
+@pytest.mark.parametrize("verdict", ["explained", "unexplained"])
+def test_a_fit_that_did_not_converge_is_said_to_have_not(verdict) -> None:
+    """In the terminal beside the verdict, at its step and behind its values, whatever the verdict."""
+    found = story(STOPPED, verdict)
+    assert [stage.converged for stage in found.steps] == [False, True, False]
+    text = shown(explanation_text(found))
+    rows = {line.split("  ")[0].strip(): line for line in text.splitlines()}
+    assert "did not converge" in rows["base"] and "did not converge" in rows["added rotor_gain"]
+    assert rows["added ground_slope"].rstrip().endswith("20.4")
+    text = joined(text)
+    assert "or less far. g = 0.001000 +- 0.000020 rad (its fit did not converge)" in text
+    assert f"! {LINE}" in text and text.index(LINE) < text.index("step [mm]")
+    assert re.search(r"quadratic_drag\S* 3e-40 3\.07 145\* ", text) and "*: this refit did not converge" in text
+    good = joined(shown(explanation_text(story(verdict=verdict))))
+    assert "converge" not in good and "145*" not in good
+
+
+def test_a_diagnosis_says_that_its_base_did_not_converge() -> None:
+    text = joined(shown(diagnosis_text(story().case, story(STOPPED).base)))
+    assert "! The fit of base did not converge:" in text and " 145* " in text
+    assert "converge" not in joined(shown(diagnosis_text(story().case, story().base)))
+
+
+def captions(page: str) -> list[str]:
+    return re.findall("<caption>(.*?)</caption>", page)
+
+
+@pytest.mark.parametrize("verdict", ["explained", "unexplained"])
+def test_the_report_says_it_beside_the_verdict_and_at_every_table_and_chart(verdict) -> None:
+    found = story(STOPPED, verdict)
+    page = explanation_page(found, result(found), models(found))
+    assert re.search(rf"</h1>\s*<p class=\"warning\">{LINE}", page)
+    bad = "(did not converge)"
+    assert {
+        f"The errors of each run with the final model {bad}",
+        f"The base model {bad}",
+        f"The final model {bad}",
+    } <= {*captions(page)}
+    text = words(page)
+    assert f"base {bad} 12.3 1.00" in text and f"added rotor_gain {bad} 0.160 0.130" in text
+    assert "added ground_slope 1.06" in text and f"145 {bad}" in text
+    drawn = charts(page)
+    assert [name.replace("<br>", " ") for name in drawn["chart-falling"]["data"][0]["x"]] == [
+        f"base {bad}",
+        "1. added ground_slope",
+        f"2. added rotor_gain {bad}",
+    ]
+    # Each chart in which a curve of such a fit is drawn names it so, and no other.
+    for chart in ("path-0", "against-slip", "against-speed", "tyre"):
+        names = {t["name"] for t in drawn[f"chart-{chart}"]["data"] if (t.get("meta") or {}).get("step")}
+        assert all((bad in name) == ("rotor_gain" in name or "base" in name) for name in names), chart
+    suspects = {t["name"]: t["x"] for t in drawn["chart-suspects"]["data"]}
+    assert [x for x in suspects["refit did not converge"] if x] == pytest.approx(np.sqrt([2.1e4, 312.0]))
+    assert [x for x in suspects["refitted"] if x] == pytest.approx([np.sqrt(340.0)])
+    assert "converge" not in words(explanation_page(story(verdict=verdict), result(story(verdict=verdict)), models()))
+
+
+def test_the_page_of_a_diagnosis_says_it(monkeypatch) -> None:
+    found = story(STOPPED)
+    monkeypatch.setattr("snakejax.present.report.view_of_step", lambda stage: models(found)[0])
+    made = {**result(found)}
+    for key in ("steps", "final", "verdict", "effects", "unexplained"):
+        del made[key]
+    page = diagnosis_page(found.case, found.noise, found.base, made)
+    assert '<p class="warning">The fit of base did not converge:' in page
+    assert "Parameters (did not converge)" in captions(page) and "145 (did not converge)" in words(page)
+
+
+def test_json_says_which_fits_converged() -> None:
+    made = result(story(STOPPED))
+    assert made["base"]["converged"] is False and made["final"]["converged"] is False
+    assert [step["converged"] for step in made["steps"]] == [True, False]
+    refits = {one["effect"]: one["converged"] for one in made["ranking"]}
+    assert (refits["lateral_skid"], refits["ground_slope"], refits["quadratic_drag"]) == (False, True, False)
+    assert refits["body_drag"] is None, "It was not refitted."
+    assert result()["base"]["converged"] is True and result()["final"]["converged"] is True
+
+
+def test_a_fit_that_stands_still_counts_as_converged() -> None:
+    """One that ran out of steps where none would gain anything is not warned of."""
+    problem, solution = problem_of(small()[2])
+    train, stopped = problem.run_indices("train"), solution._replace(converged=False)
+    assert has_converged(problem, stopped, train)
+    # A place on its way, with a step of ten standard errors of D still to go.
+    there, to_go = stopped.linearised, 10 * float(np.sqrt(stopped.covariance[0, 0]))
+    on_the_way = there._replace(residual=there.residual + to_go * there.jacobian[..., 0])
+    assert not has_converged(problem, stopped._replace(linearised=on_the_way), train)
+
+
+def test_fit_and_compare_say_it_everywhere() -> None:
+    """The small case with a fit that ran out of steps: terminal, report and JSON."""
+    case, noise, found = small()
+    problem, solution = problem_of(found)
+    stopped = fit_result(problem, solution._replace(converged=False))
+    sides = (
+        ModelScore("pacejka", found.train_score, None, None, False),
+        ModelScore("ideal", found.train_score, None, None, True),
+    )
+    text = shown(fit_report(case, noise, stopped)) + shown(compare_report(compare(stopped), sides))
+    assert "! The fit did not converge" in joined(text)
+    rows = [line for line in text.splitlines() if line.startswith(("  pacejka", "  ideal"))]
+    assert [row.rstrip().endswith("did not converge") for row in rows] == [True, False]
+    made = fit_json(case, noise, stopped, provenance_json(0, {}, {}))
+    assert made["base"]["converged"] is False and made["converged"] is False
+    made["comparison"] = comparison_json(compare(stopped), sides)
+    assert [side["converged"] for side in made["comparison"]["models"]] == [False, True]
+    page = fit_page(case, noise, stopped, made, view_of_fit(stopped))
+    assert '<p class="warning">The fit of the model did not converge:' in page
+    assert {"The errors of each run (did not converge)", "Parameters (did not converge)"} <= {*captions(page)}
+    assert "base (did not converge)" in words(page) and "pacejka (did not converge)" in words(page)
+    assert {t["name"] for t in charts(page)["chart-against-slip"]["data"]} >= {"model with pull (did not converge)"}
+    fine = fit_json(case, noise, found, provenance_json(0, {}, {}))
+    assert "converge" not in words(fit_page(case, noise, found, fine, view_of_fit(found)))
+    assert "converge" not in shown(fit_report(case, noise, found)) and fine["base"]["converged"] is True
+
+
+def test_simulate_says_it_of_the_fit_that_it_plays() -> None:
+    part = {"parameters": {"B": {"value": 8.0, "unit": "1/rad"}}, "effects": {}}
+    for converged in (False, True, None):
+        told = {"model": "pacejka", "skid": "free", "base": {**part, "converged": converged}, "runs": []}
+        assert ("did not converge" in joined(shown(simulated("small", told)))) is (converged is False)
+
+
+def test_pictures_say_it() -> None:
+    found = story(STOPPED)
+    ticks = [label.get_text() for label in plot.waterfall(found).axes[0].get_xticklabels()]
+    assert ["did not converge" in tick for tick in ticks] == [True, False, True]
+    legend = [text.get_text() for text in plot.fall(found, models(found)).axes[0].get_legend().get_texts()]
+    assert ["did not converge" in label for label in legend] == [False, True, True]
+    figure = plot.ranking(found.base)
+    assert "refit of whole runs did not converge" in [text.get_text() for text in figure.legends[0].get_texts()]
+    marks = figure.axes[0].collections
+    places = [np.asarray(mark.get_offsets().compressed()).reshape(-1, 2)[:, 0] for mark in marks]
+    assert [*map(sorted, places[1:])] == [[pytest.approx(np.sqrt(340.0))], pytest.approx(np.sqrt([312.0, 2.1e4]))]
+    assert len(plot.ranking(story().base).axes[0].collections) == 2

@@ -1,0 +1,145 @@
+"""Reports, opened in a real browser: no network, every control works, what is shown is what is in the JSON."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from helpers.browser import Seen, check, numbers, written
+from helpers.made_up_explanation import models, result, story
+from helpers.small_case import NASTY, NASTY_RUN, small
+
+from snakejax import Case, Fit, Noise
+from snakejax.present.as_json.fit import fit_json
+from snakejax.present.as_json.provenance import provenance_json
+from snakejax.present.as_text.tables import error, number
+from snakejax.present.report import explanation_page, fit_page, sweep_page, tune_page
+from snakejax.present.views import view_of_fit
+
+
+@pytest.fixture(scope="module")
+def nasty() -> tuple[Case, Noise, Fit]:
+    """A fit in which every name that comes from a file is a trap."""
+    return small(NASTY, (NASTY_RUN, NASTY), NASTY)
+
+
+def test_names_from_files_are_shown_as_text(nasty, browser, tmp_path) -> None:
+    case, noise, found = nasty
+    result = fit_json(case, noise, found, provenance_json(0, {"effect": [NASTY]}, case.sha256))
+    seen = Seen(browser, written(tmp_path, fit_page(case, noise, found, result, view_of_fit(found))))
+    assert NASTY in seen.page.inner_text("h1")
+    assert seen.page.inner_text("figure[data-run] figcaption") == NASTY_RUN
+    assert NASTY in seen.page.text_content("#chart-failing-0")
+    assert seen.page.query_selector_all("img") == []
+    assert len(seen.page.query_selector_all("body script")) == 5
+    check(seen)
+
+
+def test_a_path_is_where_the_board_was(nasty, tmp_path) -> None:
+    """The numbers of the chart, without a browser: measured and modelled x against y."""
+    case, noise, found = nasty
+    result = fit_json(case, noise, found, provenance_json(0, {}, {}))
+    text = fit_page(case, noise, found, result, view_of_fit(found))
+    charts = json.loads(re.search(r'<script id="charts" type="application/json">(.*?)</script>', text, re.S)[1])
+    measured, modelled = charts["chart-path-0"]["data"][:2]
+    pose = np.asarray(case.runs[0].pose)
+    assert measured["x"][:50] == pytest.approx(pose[:50, 0], rel=1e-4, abs=1e-9)
+    assert measured["y"][100:120] == [None] * 20
+    assert np.abs(np.array(modelled["x"][:50]) - pose[:50, 0]).max() < 5 * float(noise.position)
+
+
+@pytest.mark.slow
+def test_the_story_of_what_nothing_known_explains(browser, tmp_path) -> None:
+    told = result() | {"quality": {"as_recorded": False, "findings": [], "masked": {}}}
+    seen = Seen(browser, written(tmp_path, explanation_page(story(), told, models())))
+    page = seen.page
+    assert page.inner_text("#recordings p") == "No defects were found."
+    text = page.inner_text("#ranking")
+    assert "These runs cannot distinguish quadratic_drag from longitudinal_slip or body_drag." in text
+    assert text.count("These runs cannot distinguish") == 1
+    assert [t["name"] for t in seen.traces("tyre") if t["mode"] == "lines" and "fill" not in t] == [
+        "base model",
+        "+ ground_slope",
+        "+ ground_slope + rotor_gain",
+    ]
+    shown = {c.get_attribute("data-key"): c.text_content() for c in page.query_selector_all("[data-key]")}
+    assert shown["base.misfit.train^0.5"] == "205" and shown["base.rmse.train.heading_rad*1000"] == "1.00"
+    # Each component that is felt has an axis, and nothing is written beyond the edge of its chart.
+    force = page.evaluate("document.getElementById('chart-force-0').data.map(t => t.yaxis)")
+    assert force == ["y", "y", "y2", "y2"]
+    beyond = (
+        "() => [...document.querySelectorAll('.chart')].flatMap(c => { const box = c.getBoundingClientRect();"
+        "return [...c.querySelectorAll('text')].filter(t => t.textContent.trim()).filter(t => {"
+        "const r = t.getBoundingClientRect(); return r.width && (r.left < box.left - 1 || r.right > box.right + 1); })"
+        ".map(t => `${c.id}: ${t.textContent}`); })"
+    )
+    assert page.evaluate(beyond) == []
+    check(seen)
+    seen.draw()
+    assert page.evaluate(beyond) == []
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "shown"),
+    [
+        (14.863, 0.387, "14.86 0.39"),
+        (6.298, 101.2, "6 101"),
+        (-0.3, 32.0, "0 32"),
+        (6.857e-8, 9.928e-8, "6.9e-08 9.9e-08"),
+        (-1.434e-7, 8.841e-8, "-1.43e-07 8.8e-08"),
+        (0.0, 1e-12, "0 1.0e-12"),
+        (0.0, 0.5, "0.00 0.50"),
+        (13.44311360854382, 1.2e-133, "13.4431136 1.2e-133"),
+        (7969.17785960231572, 2.6e-36, "7969.17786 2.6e-36"),
+        (1.25e-7, 1e-20, "1.25e-07 1.0e-20"),
+        (5.0, float("nan"), "5 "),
+    ],
+)
+def test_a_number_has_the_digits_that_its_error_bears(value, sd, shown) -> None:
+    assert f"{number(value, sd)} {error(sd)}" == shown
+
+
+HEAD = {"schema": 1, "case": NASTY, "model": "pacejka", "skid": "coupled", "provenance": provenance_json(0, {}, {})}
+
+
+def test_a_sweep_along_one_parameter(browser, tmp_path) -> None:
+    D = [0.5 * k for k in range(1, 13)]
+    k_s = [None, *(3.0 + 2 * d for d in D[1:])]
+    ends = {"x_m": [0.01 * d for d in D], "y_m": [0.0] * 12, "heading_rad": [None, *D[1:]]}
+    fitted = {"polynomial": [0.0, 0.0, 0.0, 2.0, 3.0], "r_squared": 1.0, "fitted_range": [1.0, 6.0]}
+    result = {**HEAD, "axes": ["D"], "D": D, "k_s": k_s, "mismatch": [0.01] * 12, **fitted, "end": ends}
+    seen = Seen(browser, written(tmp_path, sweep_page(result)))
+    numbers(seen)
+    curve, marks = seen.traces("k_s")
+    assert marks["x"] == D and marks["y"][0] is None
+    assert marks["y"][1:] == pytest.approx(k_s[1:])
+    assert curve["y"] == pytest.approx([3.0 + 2 * x for x in curve["x"]], rel=1e-4)
+    assert len(seen.page.query_selector_all("tbody tr")) == 12
+
+
+def test_a_sweep_over_two_parameters(browser, tmp_path) -> None:
+    values = [[1.0, 2.0, 3.0], [4.0, None, 6.0]]
+    ends = {key: values for key in ("x_m", "y_m", "heading_rad")}
+    axes = {"axes": ["load", "camber"], "load": [1.0, 2.0], "camber": [0.0, 0.1, 0.2]}
+    nothing = {"polynomial": None, "r_squared": None, "fitted_range": None}
+    result = {**HEAD, **axes, "k_s": values, "mismatch": values, **nothing, "end": ends}
+    seen = Seen(browser, written(tmp_path, sweep_page(result)))
+    numbers(seen)
+    (k_s,) = seen.traces("map-0")
+    assert (k_s["x"], k_s["y"], k_s["z"]) == ([0.0, 0.1, 0.2], [1.0, 2.0], values)
+
+
+def test_a_tuned_gait(browser, tmp_path) -> None:
+    t = [0.1 * k for k in range(20)]
+    path = {"t": t, "x": t, "y": t, "heading": t, "phi": t, "psi": t}
+    side = {"gait": None, "objective": 0.5, "effort_n2m2s": 1.0, "path": path}
+    gait = {"phi": [[0.3, 4.0, 0.1]], "psi": [[1.0, 4.0, 0.0], [0.1, 8.0, 0.2]]}
+    limits = {"phi": 0.9, "psi_rate": 6.5}
+    result = {**HEAD, "asked": "distance", "duration_s": 8.0, "start": [0.0, 0.0, 0.0], "objective": 1.25, "met": True}
+    result |= {"gait": gait, "limits": limits, "reached": {"phi": 0.31, "psi_rate": 4.8}}
+    result |= {"before": side, "after": {**side, "objective": 1.25}, "spread": [1.2, 1.3, 1.1]}
+    seen = Seen(browser, written(tmp_path, tune_page(result)))
+    numbers(seen)
+    assert "1.25 m, where the best known gait has 0.5 m" in seen.page.inner_text("h1")
+    assert seen.traces("spread-objective")[0]["y"] == [1.2, 1.3, 1.1]
+    assert [trace["name"] for trace in seen.traces("psi")] == ["best known", "tuned"]

@@ -1,0 +1,92 @@
+"""Where integration is hard: stiff tyres, creeping wheels, steering across the board, rest, reversal.
+
+Each corner is right against scipy's implicit Radau method, or refused; never silently wrong.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from snakejax import Gait, Model, Rayleigh, Sines, preset, simulate, simulate_many, stacked
+from snakejax.core.parameter import with_parameters
+
+ROTATE, FORWARD = preset("paper-rotate"), preset("paper-forward")
+
+
+def radau(model: Model, gait: Gait, seconds: float) -> np.ndarray:
+    """The pose at the end, by an implicit method with the exact Jacobian."""
+    leaves, structure = jax.tree.flatten(model.start((jnp.zeros(()),) * 3))
+
+    def rates(t, y):
+        return jnp.stack(jax.tree.leaves(model.rates(t, jax.tree.unflatten(structure, list(y)), gait)))
+
+    f, J = jax.jit(rates), jax.jit(jax.jacfwd(rates, argnums=1))
+    how = dict(method="Radau", rtol=1e-9, atol=1e-11, max_step=0.05)
+    found = solve_ivp(f, (0.0, seconds), np.zeros(len(leaves)), jac=lambda t, y: np.asarray(J(t, y)), **how)
+    assert found.success
+    return np.stack(model.observe(tuple(found.y[:, -1])))
+
+
+def both(model: Model, gait: Gait, seconds: float) -> tuple[np.ndarray, np.ndarray]:
+    """The pose at the end by a single run and by a lane."""
+    times = jnp.array([seconds])
+    alone = jax.jit(lambda m: simulate(m, gait, times, throw=False).pose[-1])(model)
+    return np.asarray(alone), simulate_many(stacked([model]), gait, times)[0, -1]
+
+
+def steered(amplitude: float) -> Gait:
+    return eqx.tree_at(lambda g: g.phi.command.amplitude, FORWARD.gait, jnp.array([amplitude]))
+
+
+REVERSED = Gait(Sines.of([[0.8, 3.0, np.pi]]), Sines.of([[1.2, 3.0, 0.0]]))
+STILL = Gait(Sines.of([[0.0, 1.0, 0.0]]), Sines.of([[0.0, 1.0, 0.0]]))
+RIGHT = {
+    "stiff coupled": (Model(ROTATE.model.board, Rayleigh(1e5), "coupled"), ROTATE.gait, 2.0),
+    "stiff free": (Model(ROTATE.model.board, Rayleigh(1e4), "free"), ROTATE.gait, 2.0),
+    "creep free": (
+        with_parameters(Model(ROTATE.model.board, ROTATE.model.tyre, "free"), {"board.creep_speed": 1e-6}),
+        ROTATE.gait,
+        4.0,
+    ),
+    "86 degrees coupled": (FORWARD.model, steered(1.5), 4.0),
+    "92 degrees free": (Model(FORWARD.model.board, FORWARD.model.tyre, "free"), steered(1.6), 4.0),
+    "reversal": (FORWARD.model, REVERSED, 6.0),
+    "rest": (FORWARD.model, STILL, 4.0),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("corner", RIGHT)
+def test_a_corner_is_right(corner) -> None:
+    model, gait, seconds = RIGHT[corner]
+    true = radau(model, gait, seconds)
+    alone, lane = both(model, gait, seconds)
+    assert np.abs(alone - true).max() < 2e-6
+    assert np.abs(lane - true).max() < 3e-5
+    if corner == "rest":
+        assert not alone.any() and not lane.any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("constraint", ["coupled", "ideal"])
+def test_steering_across_the_board_is_refused_where_wheels_cannot_slip(constraint) -> None:
+    for amplitude in (1.565, 1.6, 2.5):
+        model = Model(FORWARD.model.board, FORWARD.model.tyre, constraint)
+        alone, lane = both(model, steered(amplitude), 7.7)
+        assert np.isinf(alone).all() and np.isinf(lane).all()
+
+
+@pytest.mark.slow
+def test_a_tyre_that_is_too_stiff_is_refused_and_the_ideal_board_is_its_limit() -> None:
+    too_stiff = Model(ROTATE.model.board, Rayleigh(1e6), "free")
+    alone, lane = both(too_stiff, ROTATE.gait, 14.0)
+    assert np.isinf(alone).all() and np.isinf(lane).all()
+    ideal = both(Model(ROTATE.model.board, ROTATE.model.tyre, "ideal"), ROTATE.gait, 4.0)[0]
+    away = [
+        np.abs(both(Model(ROTATE.model.board, Rayleigh(k_s), "coupled"), ROTATE.gait, 4.0)[0] - ideal).max()
+        for k_s in (1e4, 5e4)
+    ]
+    assert away[1] == pytest.approx(away[0] / 5, rel=0.1)
