@@ -1,24 +1,24 @@
-"""How often the diagnosis is right, on boards made up: with each effect at five strengths, and without any.
+"""How often the diagnosis is right on synthetic boards: with each effect at five strengths, and without any.
 
     python benchmarks/accuracy.py PART [RESULTS]         PART: null, ranking, loop, strong, pairs, strangers,
                                                          mixed, exhaustive, table
 
-Each part writes its results line by line into RESULTS (default benchmarks/accuracy.jsonl), and goes on where it was
-stopped; `table` prints what they say, which is kept in benchmarks/accuracy.txt.
+Each part writes its results line by line into RESULTS (default benchmarks/accuracy.jsonl), and continues there after
+a stop. `table` prints the summary, which is kept in benchmarks/accuracy.txt.
 
 null        400 boards without an effect, the whole loop.
-ranking     every effect at 5 strengths under both structures, 20 draws of the noise. The sensitivities are those of the
-            mean recording, and serve all draws; each draw is scored by itself.
+ranking     every effect at 5 strengths under both structures, 20 noise samples each. The sensitivities are those of the
+            mean recording and serve all noise samples; each sample is scored on its own.
 loop        the whole loop on a hundred of these boards, 20 of each strength.
-strong      the whole loop on every effect at a size that one would meet, under both structures.
-pairs       the whole loop on 24 pairs of effects at such sizes, every fourth time beside a wrong structure, in runs
-            like those of a motion capture: five to train on, two held out, 12 s each.
-strangers   the same with an effect that no library holds.
-mixed       the same with such an effect and a known one together, which must be said to survive beside the force.
-exhaustive  twenty of the hundred, all candidates refitted: the yardstick.
+strong      the whole loop on every effect at a size that occurs in practice, under both structures.
+pairs       the whole loop on 24 pairs of effects at such sizes, every fourth time with a wrong structure as well, in
+            runs like those of a motion capture: five train runs and two held-out runs of 12 s each.
+strangers   the same with an effect that is in no library.
+mixed       the same with such an effect and a known one together; the report must name the known one with the force.
+exhaustive  twenty of the hundred with all candidates refitted, as the reference.
 
-Strengths are multiples of the smallest value that the runs reveal with power 0.8, as the tool itself says of the board
-without the effect.
+Strengths are multiples of the smallest value that the runs reveal with power 0.8, as the diagnosis of the board without
+the effect states it.
 """
 
 import json
@@ -40,14 +40,15 @@ import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
 from snakejax import Case, Explanation, explain  # noqa: E402
-from snakejax._bench import Bench, Step  # noqa: E402
-from snakejax._prospects import prospects, sight  # noqa: E402
-from snakejax._refit import refit  # noqa: E402
-from snakejax._score import ALPHA, Scored, confusable  # noqa: E402
-from snakejax._sight import Sight, tested  # noqa: E402
-from snakejax._starting import starting_model  # noqa: E402
-from snakejax._units import parameters  # noqa: E402
+from snakejax.core.parameter import parameters  # noqa: E402
+from snakejax.diagnosis.selection.candidates import CandidateFit, CandidateSet  # noqa: E402
+from snakejax.diagnosis.selection.criteria import CRITERIA  # noqa: E402
+from snakejax.diagnosis.selection.refit import refit  # noqa: E402
+from snakejax.diagnosis.selection.score_test import ScoreTest, confusable  # noqa: E402
+from snakejax.diagnosis.selection.screening import screen_candidates, window_sensitivities  # noqa: E402
 from snakejax.effects import LIBRARY  # noqa: E402
+from snakejax.estimation.initial_model import starting_model  # noqa: E402
+from snakejax.estimation.sensitivity import Sensitivities, tested  # noqa: E402
 
 CANDIDATES = {name: kind() for name, kind in LIBRARY.items()}
 STRENGTHS = (0.5, 0.75, 1.0, 1.5, 2.5)
@@ -102,46 +103,53 @@ class Results:
         print(json.dumps(line), flush=True)
 
 
-def effects_of(skid: str) -> list[str]:
+def effects_of(constraint: str) -> list[str]:
     """The effects that can act under a structure and that one number describes."""
-    model = boards.make(0, skid).model
-    return [n for n, e in CANDIDATES.items() if not e.refusal(model) and not (n == "grip_split" and skid == "coupled")]
+    model = boards.make(0, constraint).model
+    return [
+        n
+        for n, e in CANDIDATES.items()
+        if not e.inapplicable_because(model) and not (n == "grip_split" and constraint == "coupled")
+    ]
 
 
 def cells() -> Iterator[tuple[int, str, str, float]]:
     """(board, structure, effect, strength) of the whole ranking study."""
-    for skid in boards.SKIDS:
-        for k, name in enumerate(effects_of(skid)):
+    for constraint in boards.STRUCTURES:
+        for k, name in enumerate(effects_of(constraint)):
             for strength in STRENGTHS:
-                yield 1000 + k, skid, name, strength
+                yield 1000 + k, constraint, name, strength
 
 
-def settled(case: Case, made: boards.Made) -> tuple[Bench, Step]:
+def settled(case: Case, made: boards.Made) -> tuple[CandidateSet, CandidateFit]:
     """The bench of a recording without noise, and its base fit, which the true tyre is near."""
-    bench = Bench.of(starting_model(case), case, boards.NOISE, CANDIDATES)
+    bench = CandidateSet.of(starting_model(case), case, boards.NOISE, CANDIDATES)
     known = {name: float(parameters(made.model)[name].value) for name in bench.tyre}
-    return bench, Step((), refit(bench, (), {**bench.study.values(), **known}))
+    return bench, CandidateFit((), refit(bench, (), {**bench.problem.values(), **known}))
 
 
-def seen(bench: Bench, step: Step) -> Sight:
+def seen(bench: CandidateSet, step: CandidateFit) -> Sensitivities:
     """Every candidate beside the base."""
-    return sight(bench, step.optimum.values, step.optimum.start, windows=False)
+    return window_sensitivities(bench, step.solution.values, step.solution.start, windows=False)
 
 
-def scored(bench: Bench, step: Step, view: Sight, seed: list[int] | None = None) -> list[Scored]:
+def scored(
+    bench: CandidateSet, step: CandidateFit, view: Sensitivities, seed: list[int] | None = None
+) -> list[ScoreTest]:
     """The candidates beside the base, under the noise of `seed`."""
     if seed is not None:
-        present = np.asarray(bench.study.batch.weight) > 0
+        present = np.asarray(bench.problem.batch.weight) > 0
         noise = present * np.random.default_rng(seed).normal(size=present.shape)
-        batch = view.study.batch
+        batch = view.problem.batch
         sd = np.where(present, 1 / np.where(present, np.asarray(batch.weight), 1.0), 0.0)
-        study = eqx.tree_at(lambda s: s.batch.pose, view.study, batch.pose + noise * sd)
-        view = view._replace(study=study, found=view.found._replace(residual=view.found.residual + noise))
-    fitted = [name for name in bench.tyre if name not in step.optimum.held]
+        problem = eqx.tree_at(lambda s: s.batch.pose, view.problem, batch.pose + noise * sd)
+        linearised = view.linearised._replace(residual=view.linearised.residual + noise)
+        view = view._replace(problem=problem, linearised=linearised)
+    fitted = [name for name in bench.tyre if name not in step.solution.held]
     return tested(view, fitted, bench.candidates, bench.probes()).scores
 
 
-def size_of(bench: Bench, step: Step, name: str) -> float:
+def size_of(bench: CandidateSet, step: CandidateFit, name: str) -> float:
     """The smallest value of an effect's first parameter that the runs reveal."""
     here = next((s for s in scored(bench, step, seen(bench, step)) if s.effect == name), None)
     if here is None:
@@ -157,17 +165,17 @@ def with_effect(name: str, value: float) -> Any:
 
 def null(results: Results) -> None:
     for seed in range(BOARDS):
-        skid = boards.SKIDS[seed % 2]
+        constraint = boards.STRUCTURES[seed % 2]
 
-        def work(seed=seed, skid=skid) -> dict[str, Any]:
-            case = boards.case(boards.make(seed, skid), seed)
+        def work(seed=seed, constraint=constraint) -> dict[str, Any]:
+            case = boards.case(boards.make(seed, constraint), seed)
             begin = time.perf_counter()
             found = explain(case, boards.NOISE, CANDIDATES)
             return {
-                "skid": skid,
+                "skid": constraint,
                 "verdict": found.verdict,
                 "effects": found.effects,
-                "p": min(r.score.p_value for r in found.base.ranking if r.score is not None),
+                "p": min(r.p_value for r in found.base.ranking if r.p_value is not None),
                 "train": found.final.train.misfit,
                 "heldout": found.final.heldout.misfit if found.final.heldout else None,
                 "seconds": time.perf_counter() - begin,
@@ -177,43 +185,43 @@ def null(results: Results) -> None:
 
 
 def ranking(results: Results) -> None:
-    for board, skid, name, strength in cells():
+    for board, constraint, name, strength in cells():
 
-        def work(board=board, skid=skid, name=name, strength=strength) -> dict[str, Any]:
-            made = boards.make(board, skid)
+        def work(board=board, constraint=constraint, name=name, strength=strength) -> dict[str, Any]:
+            made = boards.make(board, constraint)
             value = strength * size_of(*settled(boards.case(made), made), name)
             if not np.isfinite(value):
-                return {"skid": skid, "effect": name, "strength": strength, "value": None}
+                return {"skid": constraint, "effect": name, "strength": strength, "value": None}
             bench, step = settled(boards.case(made, **{name: with_effect(name, value)}), made)
             view = seen(bench, step)
             right = wrong = silent = 0
             for seed in range(DRAWS):
                 ranked = scored(bench, step, view, [board, seed])
                 first, alike = ranked[0], confusable(ranked)
-                if first.p_value >= ALPHA:
+                if first.p_value >= CRITERIA.significance_level:
                     silent += 1
                 elif first.effect == name or name in alike[first.effect]:
                     right += 1
                 else:
                     wrong += 1
             counts = {"right": right, "wrong": wrong, "silent": silent}
-            return {"skid": skid, "effect": name, "strength": strength, "value": value, **counts}
+            return {"skid": constraint, "effect": name, "strength": strength, "value": value, **counts}
 
-        results.once("ranking", f"{skid} {name} {strength}", work)
+        results.once("ranking", f"{constraint} {name} {strength}", work)
 
 
 def hundred() -> Iterator[tuple[int, str, str, float]]:
     """(board, structure, effect, strength): twenty effects at each strength, the structures in turn."""
     for k, strength in enumerate(STRENGTHS):
         for place in range(20):
-            skid = boards.SKIDS[(k + place) % 2]
-            names = effects_of(skid)
-            yield 2000 + 20 * k + place, skid, names[(place + 4 * k) % len(names)], strength
+            constraint = boards.STRUCTURES[(k + place) % 2]
+            names = effects_of(constraint)
+            yield 2000 + 20 * k + place, constraint, names[(place + 4 * k) % len(names)], strength
 
 
-def recorded(board: int, skid: str, name: str, strength: float) -> tuple[Case, float]:
+def recorded(board: int, constraint: str, name: str, strength: float) -> tuple[Case, float]:
     """The recording of one of the hundred, and the value of its effect: where none is detectable, one of `SIZES`."""
-    made = boards.make(board, skid)
+    made = boards.make(board, constraint)
     size = size_of(*settled(boards.case(made), made), name)
     value = strength * (size if np.isfinite(size) else SIZES[name])
     return boards.case(made, board, **{name: with_effect(name, value)}), value
@@ -233,49 +241,52 @@ def answered(case: Case) -> tuple[Explanation, dict[str, Any]]:
     }
 
 
-def explained(case: Case, skid: str, name: str, value: float) -> dict[str, Any]:
+def explained(case: Case, constraint: str, name: str, value: float) -> dict[str, Any]:
     """What the whole loop makes of a recording with one effect."""
     found, kept = answered(case)
     mine = next((r for r in found.base.ranking if r.effect == name), None)
     alike = {r.effect: r.confusable_with for r in found.base.ranking}
     right = len(found.effects) == 1 and (name in found.effects or name in alike[found.effects[0]])
     predicted, refitted = mine and mine.predicted_misfit, mine and mine.refit_misfit
-    truth = {"skid": skid, "effect": name, "value": value}
+    truth = {"skid": constraint, "effect": name, "value": value}
     return {**truth, **kept, "right": right, "predicted": predicted, "refitted": refitted}
 
 
 def strong(results: Results) -> None:
-    for skid in boards.SKIDS:
-        for k, name in enumerate(effects_of(skid)):
+    for constraint in boards.STRUCTURES:
+        for k, name in enumerate(effects_of(constraint)):
 
-            def work(k=k, skid=skid, name=name) -> dict[str, Any]:
+            def work(k=k, constraint=constraint, name=name) -> dict[str, Any]:
                 effect = with_effect(name, SIZES[name])
                 return explained(
-                    boards.case(boards.make(3000 + k, skid), 3000 + k, **{name: effect}), skid, name, SIZES[name]
+                    boards.case(boards.make(3000 + k, constraint), 3000 + k, **{name: effect}),
+                    constraint,
+                    name,
+                    SIZES[name],
                 )
 
-            results.once("strong", f"{skid} {name}", work)
+            results.once("strong", f"{constraint} {name}", work)
 
 
 def loop(results: Results) -> None:
-    for board, skid, name, strength in hundred():
+    for board, constraint, name, strength in hundred():
 
-        def work(board=board, skid=skid, name=name, strength=strength) -> dict[str, Any]:
-            case, value = recorded(board, skid, name, strength)
-            return {"strength": strength, **explained(case, skid, name, value)}
+        def work(board=board, constraint=constraint, name=name, strength=strength) -> dict[str, Any]:
+            case, value = recorded(board, constraint, name, strength)
+            return {"strength": strength, **explained(case, constraint, name, value)}
 
-        results.once("loop", f"{skid} {name} {strength}", work)
+        results.once("loop", f"{constraint} {name} {strength}", work)
 
 
 def couples() -> Iterator[tuple[int, str, str, dict[str, float]]]:
     """(board, structure, structure as declared, value by effect) of each pair."""
     for k in range(24):
         rng = np.random.default_rng([k, 77])
-        skid = boards.SKIDS[k % 2]
-        names = [n for n in effects_of(skid) if n != "grip_split"]
+        constraint = boards.STRUCTURES[k % 2]
+        names = [n for n in effects_of(constraint) if n != "grip_split"]
         one, other = rng.choice(len(names), 2, replace=False)
         sizes = {names[j]: SIZES[names[j]] * rng.uniform(0.6, 1.5) for j in (one, other)}
-        yield 4000 + k, skid, "coupled" if k % 4 == 0 else skid, sizes
+        yield 4000 + k, constraint, "coupled" if k % 4 == 0 else constraint, sizes
 
 
 def all_found(found: Explanation, wanted: tuple[str, ...]) -> bool:
@@ -286,14 +297,14 @@ def all_found(found: Explanation, wanted: tuple[str, ...]) -> bool:
 
 
 def pairs(results: Results) -> None:
-    for board, skid, declared, sizes in couples():
+    for board, constraint, declared, sizes in couples():
 
-        def work(board=board, skid=skid, declared=declared, sizes=sizes) -> dict[str, Any]:
-            made = boards.make_long(board, skid)
+        def work(board=board, constraint=constraint, declared=declared, sizes=sizes) -> dict[str, Any]:
+            made = boards.make_long(board, constraint)
             effects = {name: with_effect(name, value) for name, value in sizes.items()}
-            switched = ("lateral_skid",) if declared != skid else ()
+            switched = ("lateral_skid",) if declared != constraint else ()
             tyre = {name: float(value.value) for name, value in parameters(made.model.tyre).items()}
-            truth = {"skid": skid, "declared": declared, "values": sizes, "tyre": tyre}
+            truth = {"skid": constraint, "declared": declared, "values": sizes, "tyre": tyre}
             found, kept = answered(boards.case(made, board, declared, **effects))
             return {**truth, **kept, "right": all_found(found, (*switched, *sizes))}
 
@@ -302,17 +313,17 @@ def pairs(results: Results) -> None:
 
 def strangers(results: Results) -> None:
     for k, (name, (effect, variable)) in enumerate(boards.STRANGERS.items()):
-        for skid in boards.SKIDS:
+        for constraint in boards.STRUCTURES:
 
-            def work(k=k, skid=skid, name=name, effect=effect, variable=variable) -> dict[str, Any]:
-                made = boards.make_long(5000 + k, skid)
+            def work(k=k, constraint=constraint, name=name, effect=effect, variable=variable) -> dict[str, Any]:
+                made = boards.make_long(5000 + k, constraint)
                 found, kept = answered(boards.case(made, 5000 + k, **{name: effect}))
                 depends = found.missing and found.missing.depends_on[:2]
                 right = found.verdict == "unexplained" and bool(depends) and depends[0][0] == variable
-                truth = {"skid": skid, "effect": name, "variable": variable}
+                truth = {"skid": constraint, "effect": name, "variable": variable}
                 return {**truth, **kept, "depends_on": depends, "right": right}
 
-            results.once("strangers", f"{skid} {name}", work)
+            results.once("strangers", f"{constraint} {name}", work)
 
 
 MIXED = {
@@ -333,33 +344,39 @@ def mixed(results: Results) -> None:
 
         def work(k=k, name=name, other=other) -> dict[str, Any]:
             effect, variable = boards.STRANGERS[name]
-            skid = boards.SKIDS[k % 2]
-            made = boards.make_long(7000 + k, skid)
+            constraint = boards.STRUCTURES[k % 2]
+            made = boards.make_long(7000 + k, constraint)
             both = {name: effect, other: with_effect(other, SIZES[other])}
             found, kept = answered(boards.case(made, 7000 + k, **both))
             depends = found.missing and found.missing.depends_on[:2]
             named = found.verdict == "unexplained" and found.effects == (other,)
             right = named and bool(depends) and depends[0][0] == variable
-            truth = {"skid": skid, "effect": name, "variable": variable, "known": other, "value": SIZES[other]}
+            truth = {
+                "skid": constraint,
+                "effect": name,
+                "variable": variable,
+                "known": other,
+                "value": SIZES[other],
+            }
             return {**truth, **kept, "depends_on": depends, "right": right}
 
         results.once("mixed", name, work)
 
 
 def exhaustive(results: Results) -> None:
-    for board, skid, name, strength in list(hundred())[-YARDSTICK:]:
+    for board, constraint, name, strength in list(hundred())[-YARDSTICK:]:
 
-        def work(board=board, skid=skid, name=name, strength=strength) -> dict[str, Any]:
-            case, _ = recorded(board, skid, name, strength)
-            bench = Bench.of(starting_model(case), case, boards.NOISE, CANDIDATES)
-            step = Step((), refit(bench, (), bench.study.values(), near=False))
+        def work(board=board, constraint=constraint, name=name, strength=strength) -> dict[str, Any]:
+            case, _ = recorded(board, constraint, name, strength)
+            bench = CandidateSet.of(starting_model(case), case, boards.NOISE, CANDIDATES)
+            step = CandidateFit((), refit(bench, (), bench.problem.values(), near=False))
             begin = time.perf_counter()
-            ranked = prospects(bench, step)
+            ranked = screen_candidates(bench, step)
             ours = time.perf_counter() - begin
             begin = time.perf_counter()
             misfits = {}
             for candidate, parts in bench.candidates.items():
-                again = refit(bench, (candidate,), step.optimum.values)
+                again = refit(bench, (candidate,), step.solution.values)
                 misfits[candidate] = again.misfit * again.samples + 2 * len(parts)
             theirs = time.perf_counter() - begin
             return {
@@ -369,7 +386,7 @@ def exhaustive(results: Results) -> None:
                 "seconds": [ours, theirs],
             }
 
-        results.once("exhaustive", f"{skid} {name} {strength}", work)
+        results.once("exhaustive", f"{constraint} {name} {strength}", work)
 
 
 def table(results: Results) -> None:
@@ -424,8 +441,10 @@ def _ranking_table(lines: list[dict[str, Any]]) -> None:
         parts = (sum(line[k] for line in mine) / total for k in ("right", "wrong", "silent"))
         return "/".join(f"{100 * part:.0f}" for part in parts) if total else "-"
 
-    for (effect, skid), mine in sorted(rows.items()):
-        print(f"  {effect:20} {skid:8}" + "".join(f"{cell([mine[s]] if s in mine else []):>14}" for s in STRENGTHS))
+    for (effect, constraint), mine in sorted(rows.items()):
+        print(
+            f"  {effect:20} {constraint:8}" + "".join(f"{cell([mine[s]] if s in mine else []):>14}" for s in STRENGTHS)
+        )
     whole = [cell([line for line in lines if line["strength"] == s]) for s in STRENGTHS]
     print(f"  {'all':29}" + "".join(f"{text:>14}" for text in whole))
 

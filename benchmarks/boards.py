@@ -1,4 +1,4 @@
-"""Boards made up: random tyres and gaits, an effect if wanted, and what motion capture would have seen of them."""
+"""Synthetic boards: random tyres and gaits, an effect if wanted, and the recording that motion capture would give."""
 
 import abc
 from typing import NamedTuple
@@ -16,7 +16,7 @@ from snakejax import (
     Effect,
     Force,
     Gait,
-    Grip,
+    LateralForce,
     Model,
     Noise,
     Pacejka,
@@ -27,7 +27,7 @@ from snakejax import (
     param,
     simulate,
 )
-from snakejax._batch import stacked_gaits
+from snakejax.estimation.batch import stacked_gaits
 
 NOISE = Noise(4e-4, 2.5e-3, "given")
 SECONDS, RATE = 6.0, 100.0
@@ -44,13 +44,13 @@ LONG_GAITS = {
     "heldout-sweep-1": ([[0.4, 1.7, 0.3], [0.4, 2.9, 0.0]], [[1.0, 1.7, 0.0], [1.0, 2.9, 1.0]]),
 }
 """Steering and rotor of the runs of `make_long`, each a sum of [amplitude in rad, rad/s, phase]."""
-SKIDS = ("free", "coupled")
+STRUCTURES = ("free", "coupled")
 
 
 class Made(NamedTuple):
     """A board without an effect, the gait of each run, where each run starts (R, 3), when it is seen, and the names."""
 
-    skid: str
+    constraint: str
     model: Model
     gaits: tuple[Gait, ...]
     start: np.ndarray
@@ -58,12 +58,12 @@ class Made(NamedTuple):
     names: tuple[str, ...]
 
 
-def make(seed: int, skid: str) -> Made:
+def make(seed: int, constraint: str) -> Made:
     """The board of number `seed`: tyres that slide at 1 to 5 N on each wheelset, three gaits to train on and another.
 
     Frequencies are 2 to 5 rad/s; one run has the rotor at twice the frequency of the steering, so that the board turns.
     """
-    rng = np.random.default_rng([seed, SKIDS.index(skid)])
+    rng = np.random.default_rng([seed, STRUCTURES.index(constraint)])
     tyre = Pacejka(B=rng.uniform(5, 12), C=rng.uniform(1.2, 1.7), D=rng.uniform(1.0, 5.0), E=rng.uniform(-1.0, 0.6))
     gaits = []
     for k in range(TRAIN + HELDOUT):
@@ -77,17 +77,19 @@ def make(seed: int, skid: str) -> Made:
         gaits.append(Gait(*(Tracked(Sines.of(terms), kp=100.0, kd=10.0) for terms in (phi, psi))))
     start = np.column_stack([rng.uniform(-0.5, 0.5, (len(gaits), 2)), rng.uniform(-np.pi, np.pi, len(gaits))])
     names = tuple(f"{'train' if k < TRAIN else 'heldout'}-{k}" for k in range(TRAIN + HELDOUT))
-    return Made(skid, Model(Board(**TABLE_II, creep_speed=0.01), tyre, skid), tuple(gaits), start, TIMES, names)
+    return Made(
+        constraint, Model(Board(**TABLE_II, creep_speed=0.01), tyre, constraint), tuple(gaits), start, TIMES, names
+    )
 
 
-def make_long(seed: int, skid: str) -> Made:
+def make_long(seed: int, constraint: str) -> Made:
     """The board of number `seed` in five runs of 12 s to train on, which differ in kind, and two others."""
-    rng = np.random.default_rng([seed, SKIDS.index(skid), 12])
+    rng = np.random.default_rng([seed, STRUCTURES.index(constraint), 12])
     tyre = Pacejka(B=rng.uniform(4, 10), C=rng.uniform(1.2, 1.6), D=rng.uniform(4.0, 9.0), E=rng.uniform(-0.3, 0.6))
     gaits = [Gait(*(Tracked(Sines.of(terms), kp=100.0, kd=10.0) for terms in pair)) for pair in LONG_GAITS.values()]
     start = np.column_stack([rng.uniform(-0.5, 0.5, (len(gaits), 2)), rng.uniform(-0.5, 0.5, len(gaits))])
-    model = Model(Board(**TABLE_II, creep_speed=0.01), tyre, skid)
-    return Made(skid, model, tuple(gaits), start, LONG_TIMES, tuple(LONG_GAITS))
+    model = Model(Board(**TABLE_II, creep_speed=0.01), tyre, constraint)
+    return Made(constraint, model, tuple(gaits), start, LONG_TIMES, tuple(LONG_GAITS))
 
 
 @eqx.filter_jit
@@ -109,7 +111,7 @@ def case(made: Made, seed: int | None = None, declared: str | None = None, **eff
         Run(name, name.split("-")[0], jnp.asarray(made.times), jnp.asarray(pose), gait)
         for name, pose, gait in zip(made.names, poses, made.gaits, strict=True)
     )
-    return Case("made", "a board made up", declared or made.skid, made.model.board, runs, NOISE)
+    return Case("made", "a board made up", declared or made.constraint, made.model.board, runs, NOISE)
 
 
 class Spring(Force):
@@ -142,7 +144,7 @@ class Compass(Force):
         return zero, zero, -self.n * jnp.sin(motion.theta - 0.8)
 
 
-class Fading(Grip):
+class Fading(LateralForce):
     """A grip that is less by some part of the share g."""
 
     g: Scalar = param("-", default=0.0)

@@ -1,9 +1,9 @@
-"""Defects put into clean recordings: how often they are found, what is lost for it, and what a fit makes of the rest.
+"""Defects put into clean recordings: how often they are found, how many frames are lost, and how a fit turns out.
 
     python benchmarks/defects.py [FOLDER ...]      folders with cases, whose runs must be clean; default data/
 
-Each clean run is taken as it is and with noise made anew on its smoothed path; each defect of tests/systems/defects.py
-is put into each of them once at each size. The table is kept in benchmarks/defects.txt.
+Each clean run is used as it is, and with new noise on its smoothed path. Each defect of tests/oracles/defects.py is put
+into each of them once at each size. The table is kept in benchmarks/defects.txt.
 """
 
 import dataclasses
@@ -19,10 +19,10 @@ import snakejax as sj
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
-from systems import defects  # noqa: E402
+from oracles import defects  # noqa: E402
 
-from snakejax.quality import Track  # noqa: E402
-from snakejax.quality.remedy import inspect  # noqa: E402
+from snakejax.recording.quality import PoseSeries  # noqa: E402
+from snakejax.recording.quality.inspection import find_defects  # noqa: E402
 
 NOISE = np.array([4e-4, 4e-4, 2.5e-3])
 SIZES = {
@@ -45,13 +45,13 @@ SIZES = {
 FITTED = (("teleports", 0.1), ("swap", 100), ("frozen", 20), ("reordered", 0.03), ("flip", 50), ("clock_jump", 0.03))
 
 
-def tracks(folders: list[Path]) -> list[Track]:
+def tracks(folders: list[Path]) -> list[PoseSeries]:
     """The runs of all cases in `folders`, as they are and with noise made anew."""
     found = []
     for case in sorted(path.parent for folder in folders for path in folder.glob("*/case.toml")):
         for number, run in enumerate(sj.load_case(case).runs):
-            track = Track.of(run)
-            seen = track.seen()
+            track = PoseSeries.of(run)
+            seen = track.complete()
             smooth = np.stack(
                 [make_smoothing_spline(seen.times, c, lam=1e-7)(track.times) for c in seen.pose.T], axis=1
             )
@@ -60,11 +60,11 @@ def tracks(folders: list[Path]) -> list[Track]:
     return found
 
 
-def alarms(clean: list[Track]) -> None:
+def alarms(clean: list[PoseSeries]) -> None:
     """False alarms on clean runs, at several frame rates."""
     print("clean runs                  runs   with a finding   frames masked")
     for every in (1, 2, 4, 5):
-        found = [inspect(Track(t.times[::every], t.pose[::every])) for t in clean]
+        found = [find_defects(PoseSeries(t.times[::every], t.pose[::every])) for t in clean]
         masked = sum(
             int(np.isfinite(t.pose[::every, 0]).sum()) - int(m.present.sum())
             for t, (m, _) in zip(clean, found, strict=True)
@@ -72,7 +72,7 @@ def alarms(clean: list[Track]) -> None:
         print(f"  every frame of {every:<10} {len(clean):6d} {sum(bool(f) for _, f in found):16d} {masked:15d}")
 
 
-def rates(clean: list[Track]) -> None:
+def rates(clean: list[PoseSeries]) -> None:
     """How often each defect is found at each size."""
     print("\ndefect            size   runs   found   bad frames lost   good frames lost a run")
     for name, sizes in SIZES.items():
@@ -83,7 +83,7 @@ def rates(clean: list[Track]) -> None:
                 if not made.kinds:
                     continue
                 runs += 1
-                mended, findings = inspect(made.track)
+                mended, findings = find_defects(made.track)
                 hits += any(f.kind in made.kinds for f in findings)
                 gone = made.track.present & ~mended.present
                 inside = np.zeros(gone.size, bool)
@@ -107,14 +107,14 @@ def fits(folder: Path) -> None:
     for name, size in FITTED:
         runs = []
         for number, run in enumerate(case.runs):
-            made = getattr(defects, name)(Track.of(run), size, np.random.default_rng([number, 5]))
+            made = getattr(defects, name)(PoseSeries.of(run), size, np.random.default_rng([number, 5]))
             runs.append(
                 dataclasses.replace(run, times=jnp.asarray(made.track.times), pose=jnp.asarray(made.track.pose))
             )
         spoiled = dataclasses.replace(case, runs=tuple(runs))
         told = []
         for raw in (False, True):
-            seen = sj.inspected(spoiled, as_recorded=raw)
+            seen = sj.inspect(spoiled, as_recorded=raw)
             if any(f.severity == "refused" for f in seen.findings) and not raw:
                 told.append("refused")
                 continue

@@ -1,9 +1,9 @@
-"""What a fit costs, beside scipy's least squares over LSODA with a compiled right-hand side.
+"""The time of a fit, against scipy's least squares over LSODA with a compiled right-hand side.
 
     python benchmarks/fit.py [PART ...]
 
-prints one table, or the PARTs named of against_scipy, jacobian, whole_case, imports and command_line. All times are
-medians over repeats that alternate, so that a busy machine slows both sides.
+prints one table, or the PARTs named: against_scipy, jacobian, whole_case, imports, command_line. All times are medians
+over repeats that alternate, so a busy machine slows both sides.
 """
 
 import json
@@ -29,18 +29,19 @@ from snakejax import prepare_jax
 
 prepare_jax()
 
-from snakejax._board import TABLE_II, Board  # noqa: E402
-from snakejax._case import load_case  # noqa: E402
-from snakejax._estimates import estimated  # noqa: E402
-from snakejax._fit import fit  # noqa: E402
-from snakejax._gait import Gait, Sines, Tracked  # noqa: E402
-from snakejax._model import Model  # noqa: E402
-from snakejax._recording import Noise, Run  # noqa: E402
-from snakejax._simulate import Accuracy, simulate  # noqa: E402
-from snakejax._starting import starting_model  # noqa: E402
-from snakejax._study import FIT_ACCURACY, Study  # noqa: E402
-from snakejax._tyre import Pacejka  # noqa: E402
-from snakejax._units import with_parameters  # noqa: E402
+from snakejax.core.parameter import with_parameters  # noqa: E402
+from snakejax.dynamics.inputs import Gait  # noqa: E402
+from snakejax.dynamics.model import Model  # noqa: E402
+from snakejax.dynamics.signals import Sines, Tracked  # noqa: E402
+from snakejax.dynamics.tyres import Pacejka  # noqa: E402
+from snakejax.estimation.fitting import fit  # noqa: E402
+from snakejax.estimation.initial_model import starting_model  # noqa: E402
+from snakejax.estimation.problem import FIT_ACCURACY, Problem  # noqa: E402
+from snakejax.estimation.uncertainty import estimates_of  # noqa: E402
+from snakejax.recording.case import load_case  # noqa: E402
+from snakejax.recording.run import Noise, Run  # noqa: E402
+from snakejax.simulation.integrate import Accuracy, simulate  # noqa: E402
+from snakejax.vehicles.snakeboard.board import TABLE_II, Board  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[1]
 LEVEL = ROOT / "data" / "level-board"
@@ -163,7 +164,7 @@ def tracked(terms: tuple[float, ...]) -> Tracked:
     return Tracked(Sines.of([terms[:3], terms[3:]]), kp=KP, kd=KD)
 
 
-def one_run() -> tuple[Study, np.ndarray]:
+def one_run() -> tuple[Problem, np.ndarray]:
     """The study of one run of 770 frames, of whose start only the heading is unknown; and what was seen."""
     board = Board(**TABLE_II, creep_speed=CREEP)
     gait = Gait(tracked(PHI), tracked(PSI))
@@ -172,14 +173,14 @@ def one_run() -> tuple[Study, np.ndarray]:
     np.testing.assert_allclose(scipy_pose(TRUTH, HEADING, 1e-9), true.pose, atol=1e-6)
     seen = np.asarray(true.pose) + np.random.default_rng(0).normal(size=(TIMES.size, 3)) * np.asarray(NOISE.channels)
     run = Run("forward", "train", jnp.asarray(TIMES), jnp.asarray(seen), gait)
-    study = Study.of(model, [run], NOISE, TYRE, 4)
+    problem = Problem.of(model, [run], NOISE, TYRE, 4)
     start = jnp.zeros((1, 3)), jnp.array([[0.0, 0.0, 1.0]])
-    return eqx.tree_at(lambda s: (s.batch.start, s.batch.free_start), study, start), seen
+    return eqx.tree_at(lambda s: (s.batch.start, s.batch.free_start), problem, start), seen
 
 
 def against_scipy() -> None:
     """The same fits on both sides, in turns, those compared that end at the same misfit."""
-    study, seen = one_run()
+    problem, seen = one_run()
     settings = {
         "its defaults, rtol 1e-8": (1e-8, "trf", None),
         "its defaults, rtol 1e-10": (1e-10, "trf", None),
@@ -187,17 +188,17 @@ def against_scipy() -> None:
         "lm, rtol 1e-8, differences of 1e-4": (1e-8, "lm", 1e-4),
     }
     print("The fit: coupled, one run of 7.7 s, 770 samples of x, y and heading; B, C, D, E and the start heading")
-    optimum = study.fit(dict(zip(TYRE, TRUTH, strict=True)), TYRE, [0])
-    best = optimum.misfit
+    solution = problem.fit(dict(zip(TYRE, TRUTH, strict=True)), TYRE, [0])
+    best = solution.misfit
     print(
         "  estimates: "
-        + ", ".join(f"{n} {e.value:.4f} +- {e.sd:.4f}" for n, e in estimated(study, optimum).items())
+        + ", ".join(f"{n} {e.value:.4f} +- {e.sd:.4f}" for n, e in estimates_of(problem, solution).items())
         + f"; misfit {best:.5f}"
     )
     rows = {name: [] for name in ("snakejax", *settings)}
     for start in STARTS:
         values = dict(zip(TYRE, start, strict=True))
-        works = [lambda v=values: study.fit(v, TYRE, [0])]
+        works = [lambda v=values: problem.fit(v, TYRE, [0])]
         works += [lambda s=start, how=how: scipy_fit(seen, s, *how) for how in settings.values()]
         seconds = medians(*works, repeats=3, row=2)
         ended = [works[0]().misfit, *(work()[0] for work in works[1:])]
@@ -222,11 +223,11 @@ def against_scipy() -> None:
 
 def jacobian() -> None:
     """The derivative of one run in five parameters, in units of the run itself."""
-    study, _ = one_run()
-    gait = jax.tree.map(lambda leaf: leaf[0], study.batch.gait)
+    problem, _ = one_run()
+    gait = jax.tree.map(lambda leaf: leaf[0], problem.batch.gait)
 
     def pose(z):
-        model = with_parameters(study.model, {name: z[k] for k, name in enumerate(TYRE)})
+        model = with_parameters(problem.model, {name: z[k] for k, name in enumerate(TYRE)})
         start = jnp.stack([jnp.zeros(()), jnp.zeros(()), z[4]])
         return simulate(model, gait, jnp.asarray(TIMES), start, accuracy=FIT_ACCURACY, throw=False).pose
 
@@ -249,9 +250,9 @@ def whole_case() -> None:
     case = load_case(LEVEL)
     found = fit(starting_model(case), case.runs, case.noise)
     (seconds,) = medians(lambda: fit(starting_model(case), case.runs, case.noise), repeats=3)
-    train = found.study.numbered("train")
     line(
-        f"level-board, warm: {len(train)} runs, {found.study.samples(train)} numbers, with held-out", f"{seconds:.2f} s"
+        f"level-board, warm: {len(found.runs)} runs, {found.train_score.samples} numbers, with held-out",
+        f"{seconds:.2f} s",
     )
 
 

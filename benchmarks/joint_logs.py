@@ -2,10 +2,10 @@
 
     python benchmarks/joint_logs.py [BOARDS]
 
-Boards made up, three train runs of 6 s each; the joints' true motion is logged with noise, on a clock that
-is up to 0.3 s ahead of the cameras' or behind it, and the fit estimates tyre and clocks. A line for each board goes
-into `joint_logs.jsonl`, where a run that was stopped goes on; then the table: how many estimates of how many lie
-within 1.96 and within 3 of their standard errors. Beside it the same recordings with joints that are known exactly.
+The boards are synthetic, with three train runs of 6 s each. The true motion of the joints is logged with noise, on a
+clock up to 0.3 s ahead of that of the cameras or behind it. The fit estimates tyre and clocks. Each board adds a line
+to `joint_logs.jsonl`, where a stopped run continues. The table then shows how many estimates lie within 1.96 and
+within 3 of their standard errors, and the same for these recordings with exactly known joints.
 """
 
 import json
@@ -22,11 +22,12 @@ import equinox as eqx  # noqa: E402
 import numpy as np  # noqa: E402
 
 from snakejax import Case, fit_logged, starting_model  # noqa: E402
-from snakejax._errors import FitError, InputError  # noqa: E402
-from snakejax._gait import AbstractSignal, Gait, Logged  # noqa: E402
-from snakejax._recording import LogClock, Run  # noqa: E402
-from snakejax._units import parameters  # noqa: E402
-from snakejax.quality import angles, smoothed, with_log_clock  # noqa: E402
+from snakejax.core.errors import FitError, InputError  # noqa: E402
+from snakejax.core.parameter import parameters  # noqa: E402
+from snakejax.dynamics.inputs import Gait  # noqa: E402
+from snakejax.dynamics.signals import AbstractSignal, Logged  # noqa: E402
+from snakejax.recording.quality import angles, smoothed, with_log_clock  # noqa: E402
+from snakejax.recording.run import LogClock, Run  # noqa: E402
 
 BOARDS = 15
 KNOWN = None
@@ -52,7 +53,7 @@ def with_log(run: Run, clock: LogClock, rate: float, noise: float, rng: np.rando
 
 def tried(board: int, log: tuple[float, float] | None) -> dict[str, Any]:
     """By estimate, how many of its standard errors it is from the truth."""
-    made = boards.make(6000 + board, boards.SKIDS[board % 2])
+    made = boards.make(6000 + board, boards.STRUCTURES[board % 2])
     rng = np.random.default_rng([6000, board])
     case: Case = boards.case(made, 6000 + board)
     clocks = {run.name: LogClock(rng.uniform(-FARTHEST, FARTHEST)) for run in case.having("train")}
@@ -66,7 +67,7 @@ def tried(board: int, log: tuple[float, float] | None) -> dict[str, Any]:
         for name, estimate in found.estimates.items()
         if estimate.determined
     }
-    for run in found.study.runs if log is not KNOWN else ():
+    for run in found.recordings if log is not KNOWN else ():
         away[f"clock {run.name}"] = (run.log.offset - clocks[run.name].offset) / run.log.offset_sd
     return {"away": away, "misfit": found.train_score.misfit}
 

@@ -2,8 +2,8 @@
 
     python benchmarks/long_recording.py [FRAMES ...]
 
-prints one table; each row is a process of its own. Memory is the most that the process ever held; with JAX imported
-and nothing read it is what the first row says.
+prints one table; each row is a process of its own. Memory is the peak of the process; the first row is the memory with
+JAX imported and nothing read.
 """
 
 import os
@@ -104,7 +104,7 @@ def simulated(path: Path, n: int) -> None:
 def measured(work: str, path: str) -> None:
     """Do it in this process and print seconds and MiB."""
     from snakejax import fit, load_case, noise_of, prepare_jax, read_track, starting_model
-    from snakejax.readers import Hints
+    from snakejax.recording.readers import FileAnnotations
 
     places = {f"board:{i}": place for i, place in enumerate(PLACES)}
     prepare_jax()
@@ -114,7 +114,7 @@ def measured(work: str, path: str) -> None:
     begun = time.perf_counter()
     more = ""
     if work == "read":
-        read_track(path, "board", Hints(markers=places if "nexus" in path else None))
+        read_track(path, "board", FileAnnotations(markers=places if "nexus" in path else None))
     elif work != "start":
         case = load_case(path)
         if work == "fit":

@@ -1,17 +1,17 @@
-"""Other ways to find out what a model lacks, on the same recordings: held-out misfit and seconds beside ours.
+"""Other ways to find what a model lacks, on the same recordings: held-out misfit and seconds of each and of ours.
 
     python benchmarks/peers.py FOLDER [CASE ...]
 
-All start from the same base model (four tyre parameters, fitted) and are judged on the same held-out runs, on which
+All start from the same base model (four fitted tyre parameters) and are validated on the same held-out runs, on which
 only the start poses are estimated.
 
-AIC       every effect of the library is refitted beside the base, one at a time; that of the least AIC is kept.
-PySINDy   discrepancy model: the acceleration of the smoothed recording less that of the base model, regressed sparsely
-          (STLSQ) on polynomials of degree 2 in speeds, joint angles and rates, heading and place. Of five thresholds
-          the one whose simulation leaves least of the train runs.
-GP        a Gaussian process (scikit-learn, one length scale a variable) from the same variables to the missing force as
-          our smoother estimates it, on 300 knots, beside the tyre it was estimated with: how much any force that
-          depends on the present state could explain.
+AIC       every effect of the library is added to the base and refitted, one at a time; that of the least AIC is kept.
+PySINDy   discrepancy model: the acceleration of the smoothed recording minus that of the base model, by sparse
+          regression (STLSQ) on polynomials of degree 2 in speeds, joint angles and rates, heading and place. Of five
+          thresholds the one whose simulation has the least train misfit is used.
+GP        a Gaussian process (scikit-learn, one length scale a variable) from the same variables to the missing force
+          that our smoother estimates, on 300 knots, with the tyre of that estimate: how much a force that depends on
+          the present state could explain at most.
 """
 
 import math
@@ -33,16 +33,16 @@ from scipy.signal import savgol_filter  # noqa: E402
 from sklearn.gaussian_process import GaussianProcessRegressor, kernels  # noqa: E402
 
 from snakejax import Accuracy, Force, Model, Motion, explain, load_case, noise_of  # noqa: E402
-from snakejax._bench import Bench, Step  # noqa: E402
-from snakejax._cli._setup import Clock, start_jax  # noqa: E402
-from snakejax._fit import judged  # noqa: E402
-from snakejax._missing import missing_force  # noqa: E402
-from snakejax._refit import base_fit, refit  # noqa: E402
-from snakejax._starting import starting_model  # noqa: E402
-from snakejax._study import Study  # noqa: E402
-from snakejax._units import with_parameters  # noqa: E402
-from snakejax._windows import states  # noqa: E402
+from snakejax.cli.pipeline import Stopwatch, start_jax  # noqa: E402
+from snakejax.core.parameter import with_parameters  # noqa: E402
+from snakejax.diagnosis.latent_force.missing_force import estimate_latent_force  # noqa: E402
+from snakejax.diagnosis.selection.candidates import CandidateFit, CandidateSet  # noqa: E402
+from snakejax.diagnosis.selection.refit import base_fit, refit  # noqa: E402
 from snakejax.effects import LIBRARY  # noqa: E402
+from snakejax.estimation.fit_workspace import fit_heldout_starts  # noqa: E402
+from snakejax.estimation.initial_model import starting_model  # noqa: E402
+from snakejax.estimation.multiple_shooting import initial_states  # noqa: E402
+from snakejax.estimation.problem import Problem  # noqa: E402
 
 CANDIDATES = {name: kind() for name, kind in LIBRARY.items()}
 THRESHOLDS = (0.02, 0.05, 0.1, 0.2, 0.4)
@@ -92,7 +92,7 @@ def _along(model: Model, gait, times, start):
     """Variables (n, 12), and the rates of the state (n, 6), of the model at the states of a recording."""
 
     def at(t, s):
-        state = model.start_moving(tuple(s[k] for k in range(6)), t, gait)
+        state = model.initial_state(tuple(s[k] for k in range(6)), t, gait)
         return variables(model.motion(t, state[0], gait)), jnp.stack(model.rates(t, state, gait)[0])
 
     return jax.vmap(at)(times, start)
@@ -100,12 +100,12 @@ def _along(model: Model, gait, times, start):
 
 def discrepancy(model: Model, run) -> tuple[np.ndarray, np.ndarray]:
     """Variables (n, 12) along a recorded run, and the wrench (n, 3) that its acceleration has beyond the model's."""
-    seen = states(model, run)
+    seen = initial_states(model, run)
     v, rates = (np.asarray(part) for part in _along(model, run.gait, run.times, jnp.asarray(seen)))
     step = float(np.median(np.diff(np.asarray(run.times))))
     m, inertia = float(model.board.mass), float(model.board.total_inertia)
-    coupled = type(model.skid).__name__ == "Coupled"
-    # The columns of `states` and of the rates that are u, w, r, or u and s.
+    coupled = type(model.constraint).__name__ == "Coupled"
+    # The columns of `initial_states` and of the rates that are u, w, r, or u and s.
     pairs = [(3, 4), (None, None), (5, 5)] if coupled else [(3, 3), (4, 4), (5, 5)]
     wrench = np.zeros((len(seen), 3))
     for k, ((mine, rate), size) in enumerate(zip(pairs, (m, m, inertia), strict=True)):
@@ -117,26 +117,26 @@ def discrepancy(model: Model, run) -> tuple[np.ndarray, np.ndarray]:
 
 def misfit(model: Model, case, noise, role: str) -> float:
     """Misfit of the runs of `role` under a model as it is, only the starts estimated."""
-    found = judged(Study.of(model, case.runs, noise, (), 1, ROUGH), {}, role)
+    found = fit_heldout_starts(Problem.of(model, case.runs, noise, (), 1, ROUGH), {}, role)
     return math.inf if found is None or not np.isfinite(found.misfit) else found.misfit
 
 
-def by_aic(case, noise, bench: Bench, step: Step, model: Model) -> tuple[str, float]:
+def by_aic(case, noise, bench: CandidateSet, step: CandidateFit, model: Model) -> tuple[str, float]:
     best = None
     for name, parts in bench.candidates.items():
         try:
-            found = refit(bench, (name,), step.optimum.values, near=False)
+            found = refit(bench, (name,), step.solution.values, near=False)
         except RuntimeError:
             continue
         aic = found.misfit * found.samples + 2 * len(parts)
         if np.isfinite(aic) and (best is None or aic < best[0]):
             best = aic, name, found
     assert best is not None
-    heldout = judged(bench.study, best[2].values)
+    heldout = fit_heldout_starts(bench.problem, best[2].values)
     return best[1], math.inf if heldout is None else heldout.misfit
 
 
-def by_sindy(case, noise, bench: Bench, step: Step, model: Model) -> tuple[str, float]:
+def by_sindy(case, noise, bench: CandidateSet, step: CandidateFit, model: Model) -> tuple[str, float]:
     pairs = [discrepancy(model, run) for run in case.having("train")]
     scale = np.sqrt(np.mean(np.concatenate([v for v, _ in pairs]) ** 2, axis=0)) + 1e-9
     size = np.sqrt(np.mean(np.concatenate([w for _, w in pairs]) ** 2, axis=0)) + 1e-9
@@ -155,11 +155,11 @@ def by_sindy(case, noise, bench: Bench, step: Step, model: Model) -> tuple[str, 
     return best[1], misfit(model.add(discrepancy=best[2]), case, noise, "heldout")
 
 
-def by_process(case, noise, bench: Bench, step: Step, model: Model) -> tuple[str, float]:
-    missing = missing_force(bench, step)
+def by_process(case, noise, bench: CandidateSet, step: CandidateFit, model: Model) -> tuple[str, float]:
+    missing = estimate_latent_force(bench, step)
     rows = []
     for found, run in zip(missing.runs, case.having("train"), strict=True):
-        v, _ = _along(model, run.gait, run.times, jnp.asarray(states(model, run)))
+        v, _ = _along(model, run.gait, run.times, jnp.asarray(initial_states(model, run)))
         at = np.searchsorted(np.asarray(run.times), found.t[1:-1]).clip(0, len(run.times) - 1)
         rows.append((np.asarray(v)[at], found.force[1:-1], found.sd[1:-1]))
     V, F, S = (np.concatenate(parts) for parts in zip(*rows, strict=True))
@@ -183,7 +183,7 @@ def by_process(case, noise, bench: Bench, step: Step, model: Model) -> tuple[str
     return f"train {misfit(model, case, noise, 'train'):.3g}", misfit(model, case, noise, "heldout")
 
 
-def ours(case, noise, bench: Bench, step: Step, model: Model) -> tuple[str, float]:
+def ours(case, noise, bench: CandidateSet, step: CandidateFit, model: Model) -> tuple[str, float]:
     found = explain(case, noise, CANDIDATES)
     what = found.verdict + (": " + ", ".join(found.effects) if found.effects else "")
     if found.missing is not None:
@@ -201,13 +201,13 @@ def main(folder: Path, names: list[str]) -> None:
     for name in names or sorted(path.name for path in folder.iterdir() if (path / "case.toml").exists()):
         case = load_case(folder / name)
         noise = noise_of(case)
-        bench = Bench.of(starting_model(case), case, noise, CANDIDATES)
-        step = Step((), base_fit(bench))
-        model = bench.study.fitted(step.optimum).without(*bench.study.model.effects)
-        heldout = judged(bench.study, step.optimum.values)
-        print(f"{name}: base train {step.optimum.misfit:.4g}, held out {heldout.misfit if heldout else math.nan:.4g}")
+        bench = CandidateSet.of(starting_model(case), case, noise, CANDIDATES)
+        step = CandidateFit((), base_fit(bench))
+        model = bench.problem.fitted(step.solution).without(*bench.problem.model.effects)
+        heldout = fit_heldout_starts(bench.problem, step.solution.values)
+        print(f"{name}: base train {step.solution.misfit:.4g}, held out {heldout.misfit if heldout else math.nan:.4g}")
         for way, work in WAYS.items():
-            clock, begin = Clock(), time.perf_counter()
+            clock, begin = Stopwatch(), time.perf_counter()
             try:
                 what, left = work(case, noise, bench, step, model)
             except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:

@@ -3,7 +3,7 @@
     python benchmarks/random_starts.py [NUMBER]
 
 B, C and D start within a factor 3 of the optimum (C below 2, the end of its domain), E within 1 of it. A start counts
-as one that arrived if each parameter ends within a tenth of its standard error of where the usual start ends. Ctrl-C
+as successful if each parameter ends within a tenth of its standard error of the result of the usual start. Ctrl-C
 ends the table early.
 """
 
@@ -18,11 +18,11 @@ from snakejax import prepare_jax
 
 prepare_jax()
 
-from snakejax._approach import approach  # noqa: E402
-from snakejax._case import load_case  # noqa: E402
-from snakejax._errors import FitError  # noqa: E402
-from snakejax._fit import fit  # noqa: E402
-from snakejax._starting import starting_model  # noqa: E402
+from snakejax.core.errors import FitError  # noqa: E402
+from snakejax.estimation.fitting import fitted_workspace  # noqa: E402
+from snakejax.estimation.initial_model import starting_model  # noqa: E402
+from snakejax.estimation.initialisation import continue_over_horizons  # noqa: E402
+from snakejax.recording.case import load_case  # noqa: E402
 
 LEVEL = Path(__file__).resolve().parents[1] / "data" / "level-board"
 TYRE = ["tyre.B", "tyre.C", "tyre.D", "tyre.E"]
@@ -40,21 +40,23 @@ def random_start(centre: dict[str, float], seed: int) -> dict[str, float]:
 def main(number: int) -> None:
     """Print one line a start, and how many arrived."""
     case = load_case(LEVEL)
-    reference = fit(starting_model(case), case.runs, case.noise)
-    train = reference.study.numbered("train")
-    best = {name: reference.optimum.values[name] for name in TYRE}
+    workspace = fitted_workspace(starting_model(case), case.runs, case.noise)
+    problem, reference = workspace.problem, workspace.result()
+    train = problem.run_indices("train")
+    best = {name: reference.estimates[name].value for name in TYRE}
     sd = np.array([reference.estimates[name].sd for name in TYRE])
     titles = [f"start {c}" for c in LETTERS] + [f"end {c}" for c in LETTERS]
-    print(f"usual start: misfit {reference.optimum.misfit:.6f}, " + ", ".join(f"{k} {v:.5f}" for k, v in best.items()))
+    usual = ", ".join(f"{name} {value:.5f}" for name, value in best.items())
+    print(f"usual start: misfit {reference.train_score.misfit:.6f}, {usual}")
     print("seed " + " ".join(f"{title:>9}" for title in titles) + "    misfit  sd away  seconds", flush=True)
     away, seconds, refused = [], [], 0
     with contextlib.suppress(KeyboardInterrupt):
         for seed in range(number):
             start, begun = random_start(best, seed), time.perf_counter()
             try:
-                near = approach(reference.study, start, TYRE, train)
-                optimum = reference.study.fit(near.values, TYRE, train, near.start)
-                ends, misfit = [optimum.values[name] for name in TYRE], optimum.misfit
+                near = continue_over_horizons(problem, start, TYRE, train)
+                solution = problem.fit(near.values, TYRE, train, near.start)
+                ends, misfit = [solution.values[name] for name in TYRE], solution.misfit
             except FitError:
                 refused += 1
                 ends, misfit = [np.nan] * 4, np.nan

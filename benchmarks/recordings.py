@@ -3,7 +3,7 @@
     python benchmarks/recordings.py FOLDER KEY.json OUT [CASE ...]
 
 FOLDER holds case folders, KEY.json a list of {"case", "verdict", "effects", "values", "tyre", "depends_on"}; OUT gets
-the results and reports. The seconds are those of each case less compilation, figures and report not counted.
+the results and reports. The seconds of each case exclude compilation, figures and report.
 """
 
 import json

@@ -1,10 +1,10 @@
-"""How large reports are, and how long a browser takes until one can use them.
+"""How large reports are, and how many seconds a browser takes until they can be used.
 
     python benchmarks/reports.py REPORT.html ...
 
 opens each five times in headless Chromium and prints its size, and the medians of the seconds until its text and
-switches answer, and until its charts can be drawn. It also holds each report against what `tests/browsing.py` asks of
-it. Needs the extra `test` and Chromium.
+switches respond, and until its charts are drawn. It also checks each report against the requirements of
+`tests/helpers/browser.py`. Needs the extra `test` and Chromium.
 """
 
 import statistics
@@ -16,8 +16,7 @@ from playwright.sync_api import sync_playwright
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
-from browsing import Seen, check  # noqa: E402
-from conftest import BROWSERS  # noqa: E402
+from helpers.browser import BROWSERS, Seen, check  # noqa: E402
 
 REPEATS = 5
 

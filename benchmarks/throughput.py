@@ -1,13 +1,13 @@
-"""Simulated boards a second: lanes against SIMD C, against diffrax by vmap, and against scipy's LSODA with numba.
+"""Simulated boards a second: our ensembles against SIMD C, diffrax by vmap, and scipy's LSODA with numba.
 
     python benchmarks/throughput.py [REPEATS]
 
-Boards under `free`, Pacejka tyre, tracked joints, 7.7 s, every number of board, tyre, gait, controller and start
+Boards under `free`, Pacejka tyre, tracked joints, 7.7 s. Every number of board, tyre, gait, controller and start is
 varied by 10 %: around Table II of the paper, and around the stiffer tyres of recordings. LSODA is called by `odeint`,
-which is the faster way, and by `solve_ivp`. Each method has the loosest tolerance of its own, of a common row, at which
-the positions at the end of all boards of the table are within 1e-6 m of a reference. Needs a C compiler, AVX-512 and
-`pip install -e .[bench]`. All methods take turns in one process on one core, as often as REPEATS says; ratios are those
-of medians. Two cores and the cold command come last.
+which is the faster way, and by `solve_ivp`. Each method has the loosest tolerance, of a common sequence, at which the
+final positions of all boards of the table are within 1e-6 m of a reference. Needs a C compiler, AVX-512 and `pip
+install -e .[bench]`. All methods alternate in one process on one core, REPEATS times; ratios are those of medians.
+Two cores and the cold command come last.
 """
 
 import ctypes
@@ -33,7 +33,7 @@ import numpy as np  # noqa: E402
 from scipy.integrate import odeint, solve_ivp  # noqa: E402
 
 from snakejax import Accuracy, Board, Gait, Model, Pacejka, Sines, Tracked, simulate, simulate_many, stacked  # noqa: E402
-from snakejax._units import with_parameters  # noqa: E402
+from snakejax.core.parameter import with_parameters  # noqa: E402
 
 USUAL = dict(
     mass=7.0, inertia=0.4375, rotor=0.0238, length=0.25, creep=1e-3, B=0.09, C=1.8, D=1.0, E=0.6,

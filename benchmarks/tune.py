@@ -1,9 +1,10 @@
-"""Gradients against searches without: the distance a board covers in 8 s, tuned by `snakejax.tune`, CMA-ES (`cma`) and
-scipy's differential evolution, on the same simulator, the same unknowns and the same limits, in one run.
+"""Tuning by gradient against searches without gradients: the distance that a board covers in 8 s, tuned by
+`snakejax.tune`, CMA-ES (`cma`) and scipy's differential evolution, on the same simulator, unknowns and limits, in one
+run.
 
     python benchmarks/tune.py [TIMES]
 
-The searches know no constraints: each gait they try is made smaller until it keeps to the limits, by the same proven
+The searches have no constraints: each gait they try is made smaller until it keeps to the limits, by the same proven
 bounds. They may simulate TIMES (default 10) as often as `tune` did. Needs the extra `bench`.
 """
 
@@ -22,10 +23,10 @@ import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 from scipy.optimize import differential_evolution  # noqa: E402
 
-from snakejax._limits import COARSE, QUANTITIES, Limits, held, reached  # noqa: E402
-from snakejax._ran import Ask, seen, sloped  # noqa: E402
-from snakejax._shapes import scaled  # noqa: E402
-from snakejax._tune import TERMS, band  # noqa: E402
+from snakejax.design.gait_families import scaled  # noqa: E402
+from snakejax.design.limits import COARSE, QUANTITIES, Limits, clipped, reached  # noqa: E402
+from snakejax.design.rollouts import RolloutSpec, rollout_jacobian, rollouts  # noqa: E402
+from snakejax.design.tuning import TERMS, band  # noqa: E402
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 TYRE = dict(B=6.0, C=1.4, D=6.0, E=0.3)
@@ -37,7 +38,7 @@ POPULATION = 32
 class Counted:
     """The distance of many gaits at once, made feasible; counts simulations and keeps the best so far."""
 
-    def __init__(self, model: sj.Model, ask: Ask) -> None:
+    def __init__(self, model: sj.Model, ask: RolloutSpec) -> None:
         self.model, self.ask, self.count, self.best, self.history = model, ask, 0, 0.0, []
         self.low, self.high = ask.shape.bounds()
 
@@ -66,11 +67,11 @@ class Counted:
 
 
 @eqx.filter_jit
-def _far(model: sj.Model, ask: Ask, unknowns):
+def _far(model: sj.Model, ask: RolloutSpec, unknowns):
     def one(z):
         command = ask.shape.gait(z)
         most = {name: [] for name in Limits._fields}
-        for name, signal in held(model, ask.driver.driven(command)):
+        for name, signal in clipped(model, ask.driver.driven(command)):
             values = reached(signal, SECONDS, COARSE)
             for q, part in zip(QUANTITIES, values, strict=True):
                 most[name].append(jnp.max(part) / LIMITS.named()[name + q])
@@ -89,9 +90,9 @@ def main(times: float) -> None:
     """Prints the table."""
     case = sj.load_case(DATA / "level-board")
     model = sj.Model(case.board, sj.Pacejka(**TYRE), "free")
-    driver = sj.Driver.of(case.runs[0].gait)
-    shape = sj.Sums((LIMITS.phi.angle, LIMITS.psi.angle), band(LIMITS, SECONDS), TERMS)
-    ask = Ask(shape, driver, jnp.array([0.0, SECONDS]), jnp.zeros(3), False)
+    driver = sj.Controller.of(case.runs[0].gait)
+    shape = sj.SumsOfSines((LIMITS.phi.angle, LIMITS.psi.angle), band(LIMITS, SECONDS), TERMS)
+    ask = RolloutSpec(shape, driver, jnp.array([0.0, SECONDS]), jnp.zeros(3), False)
 
     sj.tune(model, sj.Distance(), LIMITS, SECONDS, driver=driver, starts=1, most=1)  # compiled
     began = time.perf_counter()
@@ -124,7 +125,7 @@ def main(times: float) -> None:
     seconds["differential evolution"] = time.perf_counter() - began
 
     z = jnp.asarray(guesses[0])
-    slow, quick = (_each(f) for f in (lambda: sloped(model, ask, z), lambda: seen(model, ask, z[None])))
+    slow, quick = (_each(f) for f in (lambda: rollout_jacobian(model, ask, z), lambda: rollouts(model, ask, z[None])))
     reached_ = ours.after.result
     print(
         f"distance in {SECONDS:g} s; a simulation with its {shape.size} derivatives takes {slow / quick:.1f} plain ones"
