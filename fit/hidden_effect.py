@@ -40,11 +40,11 @@ def main(folder: Path) -> sj.Explanation:
     return found
 
 
-def tell(stage: sj.SelectionStep) -> None:
+def tell(step: sj.SelectionStep) -> None:
     """One line a step."""
-    held = "" if stage.heldout is None else f", held out {error_text(stage.heldout)}"
-    doubt = "" if stage.converged else "; the fit did not converge"
-    print(f"{stage.change} {stage.name}: root mean square error {error_text(stage.train)}{held}{doubt}")
+    held = "" if step.heldout is None else f", held out {error_text(step.heldout)}"
+    doubt = "" if step.converged else "; the fit did not converge"
+    print(f"{step.change} {step.name}: root mean square error {error_text(step.train)}{held}{doubt}")
 
 
 if __name__ == "__main__":

@@ -205,7 +205,7 @@ LINE = "The fits of base and added rotor_gain did not converge: their errors and
 def test_a_fit_that_did_not_converge_is_said_to_have_not(verdict) -> None:
     """In the terminal beside the verdict, at its step and behind its values, whatever the verdict."""
     found = story(STOPPED, verdict)
-    assert [stage.converged for stage in found.steps] == [False, True, False]
+    assert [step.converged for step in found.steps] == [False, True, False]
     text = shown(explanation_text(found))
     rows = {line.split("  ")[0].strip(): line for line in text.splitlines()}
     assert "did not converge" in rows["base"] and "did not converge" in rows["added rotor_gain"]
@@ -260,7 +260,7 @@ def test_the_report_says_it_beside_the_verdict_and_at_every_table_and_chart(verd
 
 def test_the_page_of_a_diagnosis_says_it(monkeypatch) -> None:
     found = story(STOPPED)
-    monkeypatch.setattr("snakejax.present.report.view_of_step", lambda stage: models(found)[0])
+    monkeypatch.setattr("snakejax.present.report.view_of_step", lambda step: models(found)[0])
     made = {**result(found)}
     for key in ("steps", "final", "verdict", "effects", "unexplained"):
         del made[key]

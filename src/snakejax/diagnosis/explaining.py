@@ -56,7 +56,7 @@ def explain(
     first, then as the final model has them, with which the recordings are explained once more, at most
     `log_clock_rounds` times.
 
-    **Arguments:** `show` is given each stage; `question`, see `DiagnosisOptions`.
+    **Arguments:** `show` is given each step; `question`, see `DiagnosisOptions`.
     **Raises:** `FitError` where the base cannot be fitted.
     """
     progress = question.get("progress", no_progress)
@@ -74,16 +74,16 @@ def explain(
             for step in found.steps if logged else found.steps[1:]:
                 show(step)
             return found
-    stages = [diagnosis.base, *_steps_beyond_base(diagnosis, progress, show_now)]
+    working_steps = [diagnosis.base, *_steps_beyond_base(diagnosis, progress, show_now)]
     for _ in range(diagnosis.base.candidate_set.criteria.log_clock_rounds if logged else 0):
-        improved = _with_logs_of(case, stages[-1], progress)
+        improved = _with_logs_of(case, working_steps[-1], progress)
         if improved is None:
             break
         case = improved
-        diagnosis, stages = _select(case, noise, library, question)
-    for stage in stages if logged else ():
-        show(stage.record)
-    return _with_clock_errors(_conclude(case, noise, diagnosis, stages, progress), stages[-1], progress)
+        diagnosis, working_steps = _select(case, noise, library, question)
+    for working_step in working_steps if logged else ():
+        show(working_step.record)
+    return _with_clock_errors(_conclude(case, noise, diagnosis, working_steps, progress), working_steps[-1], progress)
 
 
 def _select(
@@ -199,10 +199,10 @@ def _relaxed_steps(
 
 
 def _conclude(
-    case: Case, noise: Noise, diagnosis: BaseDiagnosis, stages: Sequence[WorkingStep], progress: Progress
+    case: Case, noise: Noise, diagnosis: BaseDiagnosis, working_steps: Sequence[WorkingStep], progress: Progress
 ) -> Explanation:
     """The verdict on the last of the steps, and what is missing where it leaves more than noise."""
-    last, steps = stages[-1], tuple(stage.record for stage in stages)
+    last, steps = working_steps[-1], tuple(step.record for step in working_steps)
     final, left_out = steps[-1], steps[0].left_out
     only_noise = consistent_with_noise(last.step.solution)
     if only_noise and heldout_consistent(last.candidate_set, last.step, last.judgement):

@@ -101,9 +101,9 @@ class Model(eqx.Module):
         return eqx.tree_at(lambda model: model.board, self, self.board.with_payload(*payload))
 
     def effects_of(self, port: type[E]) -> list[E]:
-        """The effects of one port, in the order of their `stage`, then of the model."""
+        """The effects of one port, in the order of their `order`, then of the model."""
         effects = [effect for effect in self.effects.values() if isinstance(effect, port)]
-        return sorted(effects, key=lambda effect: getattr(effect, "stage", 0))
+        return sorted(effects, key=lambda effect: getattr(effect, "order", 0))
 
     def effective_vehicle(self) -> AbstractVehicle:
         """The board after all `Geometry` effects."""

@@ -104,9 +104,9 @@ class InputModifier(Effect):
 
 
 class Linkage(Effect):
-    """Changes the transmission from a steering joint to its wheelset; effects are applied in the order of `stage`."""
+    """Changes the transmission from a steering joint to its wheelset; effects are applied in the order of `order`."""
 
-    stage: ClassVar[int] = 1
+    order: ClassVar[int] = 1
 
     @abc.abstractmethod
     def steer(self, joint: Joint, wheelset: Wheelset) -> Joint:
@@ -114,9 +114,9 @@ class Linkage(Effect):
 
 
 class Sensor(Effect):
-    """Changes the reported pose; effects are applied in the order of `stage`."""
+    """Changes the reported pose; effects are applied in the order of `order`."""
 
-    stage: ClassVar[int] = 0
+    order: ClassVar[int] = 0
 
     @abc.abstractmethod
     def observe(self, x: Scalar, y: Scalar, heading: Scalar) -> tuple[Scalar, Scalar, Scalar]:

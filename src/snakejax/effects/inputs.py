@@ -63,7 +63,7 @@ class SteeringBacklash(Linkage):
     """Smooth dead zone: wheel angle = phi - b tanh(phi / b); wheel angle = phi for b = 0."""
 
     description = "The steering has play: small joint angles do not reach the wheels."
-    stage: ClassVar[int] = 0
+    order: ClassVar[int] = 0
     secant_step: ClassVar[dict[str, float]] = {"b": 0.02}
     b: Scalar = param("rad", low=0.0, default=0.0)
 

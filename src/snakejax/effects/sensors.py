@@ -23,7 +23,7 @@ class HeadingOffset(Sensor):
     """Reported heading = heading + h, applied after the marker offset."""
 
     description = "Motion capture's body axis is turned against the board's."
-    stage: ClassVar[int] = 1
+    order: ClassVar[int] = 1
     h: Scalar = param("rad", default=0.0)
 
     def observe(self, x: Scalar, y: Scalar, heading: Scalar) -> tuple[Scalar, Scalar, Scalar]:

@@ -42,11 +42,11 @@ def stepwise_selection(
 
     Far from the recordings a set of effects is searched first (`add_subset`).
     """
-    stages = list(before)
+    steps = list(before)
 
     def record(change: str, name: str, fit: CandidateFit, ranks: Sequence[RankedCandidate] = ()) -> None:
-        stages.append(selection_step(candidate_set, change, name, fit, ranks))
-        show(stages[-1].record)
+        steps.append(selection_step(candidate_set, change, name, fit, ranks))
+        show(steps[-1].record)
 
     if step.solution.misfit > candidate_set.criteria.linear_misfit and not any_refit_consistent(ranking):
         path, hopeless = add_subset(candidate_set, step, ranking, progress)
@@ -55,13 +55,13 @@ def stepwise_selection(
             record("added", name, fit, ranks)
         if hopeless:
             # No set of effects explains even the windows: which of them help a little is not worth the time.
-            return stages
+            return steps
     for name, fit, ranks in _additions(candidate_set, step, ranking, progress):
         step = fit
         record("added", name, fit, ranks)
     for name, fit in _removals(candidate_set, step, progress):
         record("dropped", name, fit)
-    return stages
+    return steps
 
 
 def _additions(

@@ -196,14 +196,14 @@ def _steps(explanation: Explanation) -> Table:
     return table
 
 
-def warnings(stages: Sequence[SelectionStep]) -> tuple[str, ...]:
+def warnings(steps: Sequence[SelectionStep]) -> tuple[str, ...]:
     """One sentence that names the fits that did not converge, if any."""
-    names = [step.title for step in stages if not step.converged]
+    names = [step.title for step in steps if not step.converged]
     return (not_converged_line(*names),) if names else ()
 
 
-def _warned(stages: Sequence[SelectionStep]) -> list[Text]:
-    return [Text(f"! {description}", style="yellow") for description in warnings(stages)]
+def _warned(steps: Sequence[SelectionStep]) -> list[Text]:
+    return [Text(f"! {description}", style="yellow") for description in warnings(steps)]
 
 
 def base_headline(name: str, base: SelectionStep) -> str:

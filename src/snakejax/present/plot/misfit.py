@@ -52,8 +52,8 @@ def waterfall(found: Explanation) -> Figure:
 def _bars(axis: Axes, found: Explanation) -> None:
     places = np.arange(len(found.steps))
     for shift, colour, name, hatch, scores in (
-        (-0.2, TRAIN, "train", "", [stage.train for stage in found.steps]),
-        (0.2, HELDOUT, "held out", "//", [stage.heldout for stage in found.steps]),
+        (-0.2, TRAIN, "train", "", [step.train for step in found.steps]),
+        (0.2, HELDOUT, "held out", "//", [step.heldout for step in found.steps]),
     ):
         errors = np.array([times_noise(score and score.misfit) for score in scores], float)
         if not np.isfinite(errors).any():
@@ -62,7 +62,7 @@ def _bars(axis: Axes, found: Explanation) -> None:
         axis.bar_label(bars, [times_noise_text(score and score.misfit) for score in scores], fontsize="small")
     axis.axhline(1.0, color="0.2", lw=1, ls=":", label="noise")
     axis.set_yscale("log")
-    names = [f"{stage.change}\n{stage.name}{doubt(stage.converged, chr(10))}" for stage in found.steps]
+    names = [f"{step.change}\n{step.name}{doubt(step.converged, chr(10))}" for step in found.steps]
     axis.set_xticks(places, names, fontsize="small")
     axis.set(ylabel="error, multiples of the noise", title=titled(f"{found.case.name}: {found.verdict}", ""))
     axis.margins(y=0.15)
