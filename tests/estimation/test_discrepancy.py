@@ -1,6 +1,7 @@
 """The filter of segments against dense matrices, its optimum against scipy, and strengths that are found again."""
 
 from functools import cache
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,11 +15,11 @@ from snakejax.estimation.discrepancy.kalman import (
     Discrepancy,
     SegmentData,
     gram_matrices,
-    open_loop_sd,
     segment_data,
     smooth,
 )
 from snakejax.estimation.discrepancy.least_squares import Prior, optimum, quadratic
+from snakejax.estimation.discrepancy.open_loop import open_loop
 from snakejax.estimation.discrepancy.segments import BODY, FORCE, LENGTH, LinearisedSegments, Segments, cut_segments
 from snakejax.estimation.discrepancy.strength import (
     Scales,
@@ -57,13 +58,25 @@ def made_up(seed: int, lost: bool = True) -> SegmentData:
     )
 
 
-def dense(data: SegmentData, of: Discrepancy) -> tuple[np.ndarray, float, np.ndarray]:
-    """Gram matrix, log determinant and smoothed states of one run from the covariance of everything at once."""
+class Dense(NamedTuple):
+    """All samples of one run at once: columns `Y` (N, P + 1), covariance `V` (N, N) of the first, and the `mean`
+    (K, NZ, P + 1) of the states with their covariance (K, NZ, N) with the samples."""
+
+    Y: np.ndarray
+    V: np.ndarray
+    mean: np.ndarray
+    cross: np.ndarray
+
+
+def dense_samples(data: SegmentData, of: Discrepancy, start_sd: float = 1.0) -> Dense:
+    """The samples of one run whose start state, but for the force, has the standard deviation `start_sd`."""
     a = np.exp(-LENGTH / of.force_time)
     # Sources: start state, force innovations of each segment, wandering noise of each sample; all are independent.
     starts, kicks, samples = NZ, FORCE * (K - 1), 3 * K * N
     total = starts + kicks + samples
-    scale = np.concatenate([np.ones(BODY), of.force, np.tile(of.force * np.sqrt(1 - a**2), K - 1), np.ones(samples)])
+    scale = np.concatenate(
+        [np.full(BODY, start_sd), of.force, np.tile(of.force * np.sqrt(1 - a**2), K - 1), np.ones(samples)]
+    )
     Z, mean = np.zeros((K, NZ, total)), np.zeros((K, NZ, P + 1))
     Z[0, :, :NZ] = np.eye(NZ)
     mean[0, BODY:, 0] = -data.force[0, 0]
@@ -92,9 +105,14 @@ def dense(data: SegmentData, of: Discrepancy) -> tuple[np.ndarray, float, np.nda
         np.exp(-np.abs(t[:, None] - t) / of.wander_time) * (of.wander[channel] ** 2)[:, None],
         0.0,
     )
+    return Dense(Y, V, mean, np.array([Z[k] * scale**2 @ H.T for k in range(K)]))
+
+
+def dense(data: SegmentData, of: Discrepancy) -> tuple[np.ndarray, float, np.ndarray]:
+    """Gram matrix, log determinant and smoothed states of one run from the covariance of everything at once."""
+    Y, V, mean, cross = dense_samples(data, of)
     inverse = np.linalg.inv(V)
-    states = np.array([mean[k] + Z[k] * scale**2 @ H.T @ inverse @ Y for k in range(K)])
-    return Y.T @ inverse @ Y, float(np.linalg.slogdet(V)[1]), states
+    return Y.T @ inverse @ Y, float(np.linalg.slogdet(V)[1]), mean + cross @ inverse @ Y
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -139,8 +157,25 @@ def test_an_open_loop_simulation_errs_by_force_and_noise() -> None:
     data = made_up(2, lost=False)
     far = DISCREPANCY._replace(force=np.full(3, 1e-12))
     noise = np.hypot(far.white, far.wander)
-    np.testing.assert_allclose(open_loop_sd(data, far)[0], noise, rtol=1e-9)
-    assert (open_loop_sd(data, DISCREPANCY)[0] > noise).all()
+    np.testing.assert_allclose(open_loop(data, far).rms_sd[0], noise, rtol=1e-9)
+    assert (open_loop(data, DISCREPANCY).rms_sd[0] > noise).all()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_open_loop_prediction_is_that_of_dense_matrices(seed: int) -> None:
+    """Without any measurement the covariance of the samples is that of start, force, noise and parameters."""
+    data, covariance = made_up(seed, lost=False), np.array([[0.3, 0.1], [0.1, 0.2]])
+    Y, V, _, _ = dense_samples(data, DISCREPANCY, start_sd=0.0)
+    found, step = open_loop(data, DISCREPANCY, range(P)), np.array([[0.3, -0.7]])
+    np.testing.assert_allclose(found.columns.reshape(-1, 1 + P), Y, rtol=1e-9)
+    np.testing.assert_allclose(found.variance.reshape(-1), np.diag(V), rtol=1e-9)
+    sd = np.sqrt(np.diag(V + Y[:, 1:] @ covariance @ Y[:, 1:].T))
+    within = np.abs(Y[:, 0] - Y[:, 1:] @ step[0]) <= 2.0 * sd
+    assert found.inside(2.0, step, covariance)[0] == pytest.approx(within.mean())
+    # A sample that was lost counts neither as inside nor as outside.
+    lost = made_up(seed)
+    expected = within[lost.present.reshape(-1) > 0].mean()
+    assert open_loop(lost, DISCREPANCY, range(P)).inside(2.0, step, covariance)[0] == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -25,6 +25,7 @@ from snakejax.estimation.joint_logs.log_noise import is_noisy
 from snakejax.recording.run import Case, Noise
 
 from .diagnosing import BaseDiagnosis, DiagnosisOptions, diagnose_base
+from .exact_checks import bands_of, odd_runs_beside
 from .explanation import Explanation
 from .inexact.confidence import AMBIGUOUS, STAND_IN, SURE
 from .inexact.explaining import assess_effects, explanation_of, shares_of, supports
@@ -160,7 +161,10 @@ def _when_no_model_is_exact(
         found = assess_effects(case, noise, candidate_set, diagnosis.base.step.effects, progress)
     except FitError:
         return None
-    if found.world.exact or found.random_force_share > candidate_set.criteria.largest_random_force:
+    criteria = candidate_set.criteria
+    if found.world.exact or found.random_force_share > criteria.largest_random_force:
+        return None
+    if found.inside("train") < criteria.least_inside:
         return None
     return explanation_of(case, noise, found, candidate_set, diagnosis.base.record)
 
@@ -221,6 +225,8 @@ def _conclude(
             confidence=sure,
             share=share,
             explained_share=explained_share,
+            bands=bands_of(final.fitted),
+            odd_runs=odd_runs_beside(last.candidate_set, last.step),
         )
     missing = None
     if len(last.candidate_set.train) > 1:

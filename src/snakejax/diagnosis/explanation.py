@@ -9,6 +9,7 @@ from snakejax.estimation.uncertainty import Estimate
 from snakejax.recording.run import Case, Noise
 
 from .latent_force.missing_force import LatentForce
+from .odd_runs import OddRun
 from .selection.steps import SelectionStep
 
 
@@ -37,6 +38,18 @@ class PoseError(NamedTuple):
     source: str
 
 
+class RunBand(NamedTuple):
+    """How well the bands of 95% of a prediction from the start of a run hold what was measured: `inside`, the share of
+    its x, y and heading within 1.96 standard deviations of the prediction.
+
+    The standard deviation counts parameters, random force and cameras.
+    """
+
+    run: str
+    role: str
+    inside: float
+
+
 class Remainder(NamedTuple):
     """The root mean square error above the floor that the final model leaves, and the shares of variables in it."""
 
@@ -57,7 +70,8 @@ class Explanation(Tabular):
     Where they were found: by effect its `confidence` ("sure", "likely", "stand_in" or "ambiguous") and its `share` of
     the squared error on runs left out, `explained_share` of all together; the `floor` that vehicle and cameras leave,
     the `remainder` above it; the `candidates` of every step; and the `constants` of the vehicle, by name, which were
-    estimated within what is known of them.
+    estimated within what is known of them. `bands`: the predictive check of each run; `odd_runs`: train runs that
+    differ from the others.
     """
 
     case: Case
@@ -75,6 +89,8 @@ class Explanation(Tabular):
     remainder: Remainder | None = None
     candidates: tuple[TriedCandidate, ...] = ()
     constants: dict[str, Estimate] = dataclasses.field(default_factory=dict)
+    bands: tuple[RunBand, ...] = ()
+    odd_runs: tuple[OddRun, ...] = ()
 
     @property
     def base(self) -> SelectionStep:

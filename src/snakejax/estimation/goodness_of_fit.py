@@ -12,6 +12,8 @@ from .whitening import coloured
 
 NOISE_SIGMAS = 4.0
 """The misfit is consistent with noise within this many standard deviations of its distribution under noise alone."""
+BAND = 1.96
+"""Half the width of a band that holds 95% of normal errors, in standard deviations."""
 
 
 class RunScore(NamedTuple):

@@ -6,15 +6,18 @@ from typing import NamedTuple
 import numpy as np
 
 from snakejax.core.progress import Phase, ProgressEvent
-from snakejax.estimation.discrepancy.kalman import open_loop_sd
+from snakejax.estimation.discrepancy.kalman import gram_matrices
 from snakejax.estimation.discrepancy.least_squares import Optimum
+from snakejax.estimation.discrepancy.open_loop import open_loop
 from snakejax.estimation.uncertainty import UNDETERMINED_SD, Estimate
 from snakejax.recording.run import Run
 
+from ..explanation import RunBand
+from ..odd_runs import OddRun, odd_runs
 from .confidence import Confidence, confidence
 from .evidence import World, world
 from .left_out import LeftOut, left_out
-from .prediction import PredictiveCheck, predictive_check
+from .prediction import PredictiveCheck, bands, left_out_bands, predictive_check, smoothed_segments
 from .search import ARRIVED, Linear, Search, distance
 from .subsets import Subsets
 
@@ -29,7 +32,8 @@ class Assessment(NamedTuple):
 
     `base`: effects that were in the model from the start; `effects`, the strongest first; `wide`: the problem under the
     discrepancy of intervals (`interval_force`); `confidence` of each effect; `predicted`: runs left out; `world`: what
-    else is there; `check` of the held-out runs; `floor` (3,) [m, m, rad]: what vehicle and cameras leave of whole runs.
+    else is there; `check` of the held-out runs; `floor` (3,) [m, m, rad]: what vehicle and cameras leave of whole runs;
+    `bands` of all runs; `odd_runs` among the train runs.
     """
 
     search: Search
@@ -42,6 +46,13 @@ class Assessment(NamedTuple):
     world: World
     check: PredictiveCheck | None
     floor: np.ndarray
+    bands: tuple[RunBand, ...]
+    odd_runs: tuple[OddRun, ...]
+
+    def inside(self, role: str) -> float:
+        """The mean share of the samples of the runs of `role` inside the bands of their predictions; 1 without any."""
+        shares = [band.inside for band in self.bands if band.role == role]
+        return float(np.mean(shares)) if shares else 1.0
 
     @property
     def random_force_share(self) -> float:
@@ -89,6 +100,23 @@ def assess(search: Search, linear: Linear, base: tuple[str, ...], heldout: Seque
     problem = linear.under(wide)
     values = search.segments.moved(linear.point.values, linear.optimum.step)
     search.progress(ProgressEvent(Phase.PREDICTIVE_CHECK))
-    check = predictive_check(search, heldout, values, problem.with_effects(effects), wide)
-    floor = np.sqrt((open_loop_sd(linear.data, linear.point.discrepancy) ** 2).mean(axis=0))
-    return Assessment(search, linear, base, effects, problem, sure, predicted, found, check, floor)
+    best, own = problem.with_effects(effects), linear.point.discrepancy
+    gram, _ = gram_matrices(linear.data, wide)
+    predictions = left_out_bands(search.segments.runs, linear.data, problem, gram, effects, own)
+    check = None
+    if heldout:
+        unseen = smoothed_segments(search, heldout, values, wide)
+        check = predictive_check(unseen, best, wide)
+        predictions += bands(heldout, unseen, best, own)
+    floor = np.sqrt((open_loop(linear.data, own).rms_sd ** 2).mean(axis=0))
+    odd = _odd_runs(search, linear, problem, gram)
+    return Assessment(search, linear, base, effects, problem, sure, predicted, found, check, floor, predictions, odd)
+
+
+def _odd_runs(search: Search, linear: Linear, problem: Subsets, gram: np.ndarray) -> tuple[OddRun, ...]:
+    """The train runs to which the parameters at `linear` do not apply, by the Gram matrices of the runs."""
+    model, values = search.model, linear.point.values
+    names = {name: k for k, name in enumerate(model.names)}
+    free = model.free(linear.point.effects)
+    found = odd_runs(gram, [run.name for run in search.segments.runs], names, free, problem.prior.precision)
+    return tuple(odd.in_units(search.segments.domains[k], values[k]) for odd in found for k in [names[odd.parameter]])

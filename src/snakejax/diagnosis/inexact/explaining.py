@@ -15,6 +15,7 @@ from ..selection.candidates import CandidateSet
 from ..selection.steps import SelectionStep
 from .assessment import Assessment, assess
 from .candidate_model import candidate_model, movable_parameters
+from .left_out import with_predicting_effects
 from .search import Search, search_effects
 from .steps import steps_of
 
@@ -40,7 +41,7 @@ def assess_effects(
     scales = scales_of(segments, np.asarray(noise.channels), noise.correlation)
     priors = candidate_model(model, candidate_set.tyre, candidate_set.candidates, base, scales, case.constant_sd)
     search = Search(segments, priors, scales, candidate_set.criteria, progress)
-    linear = search_effects(search)
+    linear = with_predicting_effects(search, search_effects(search))
     return assess(search, linear, tuple(base), case.having("heldout"))
 
 
@@ -48,10 +49,11 @@ def explanation_of(
     case: Case, noise: Noise, found: Assessment, candidate_set: CandidateSet, base: SelectionStep
 ) -> Explanation:
     """The explanation with the effects `found`, after the `base`."""
+    criteria = candidate_set.criteria
     steps = [base, *steps_of(found, candidate_set)]
     final = steps[-1]
     claimed = tuple(effect for effect in final.effects if effect not in base.effects)
-    explained = found.check is None or found.check.passed
+    explained = found.check is None or (found.check.passed and found.inside("heldout") >= criteria.least_inside)
     verdict = ("explained" if claimed else "adequate") if explained else "unexplained"
     noise_floor = PoseError(
         float(np.hypot(found.floor[0], found.floor[1])),
@@ -75,6 +77,8 @@ def explanation_of(
         remainder=_remainder(final, noise_floor),
         candidates=_tried(found, steps),
         constants=_constants(final),
+        bands=found.bands,
+        odd_runs=found.odd_runs,
     )
 
 

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from snakejax.estimation.discrepancy.kalman import gram_matrices
 from snakejax.estimation.discrepancy.least_squares import quadratic
 
-from .search import Linear, Search
+from .search import FINE, Linear, Search
 from .subsets import left_out_errors
 
 
@@ -55,6 +55,28 @@ class LeftOut(NamedTuple):
     def explained_share(self, effects: Iterable[str]) -> float:
         """The share of the squared error that all `effects` take away."""
         return float(1.0 - self.error(effects).sum() / self.error([]).sum())
+
+    def predicting(self, effects: Iterable[str]) -> list[str]:
+        """Those of `effects` with which runs left out are predicted better, each beside the others that stay.
+
+        Backward elimination: the effect of the smallest gain goes first.
+        """
+        kept = list(effects)
+        while kept:
+            gains = {effect: self.gain(kept, effect) for effect in kept}
+            idle = [effect for effect in kept if not gains[effect].predicts]
+            if not idle:
+                break
+            kept.remove(min(idle, key=lambda effect: gains[effect].share))
+        return kept
+
+
+def with_predicting_effects(search: Search, linear: Linear) -> Linear:
+    """The problem with those effects that predict runs left out better, fitted to the end; a single run judges itself
+    and keeps all."""
+    effects = linear.point.effects
+    kept = left_out(search, linear).predicting(effects) if len(linear.gram) > 1 else effects
+    return linear if set(kept) == set(effects) else search.refit(linear.point, kept, most=FINE)
 
 
 def left_out(search: Search, linear: Linear) -> LeftOut:

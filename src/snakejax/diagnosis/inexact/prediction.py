@@ -5,13 +5,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from snakejax.estimation.discrepancy.kalman import Discrepancy, gram_matrices, moved_states, segment_data, smooth
+from snakejax.estimation.discrepancy.kalman import (
+    Discrepancy,
+    SegmentData,
+    gram_matrices,
+    moved_states,
+    segment_data,
+    smooth,
+)
 from snakejax.estimation.discrepancy.least_squares import Optimum
+from snakejax.estimation.discrepancy.open_loop import open_loop
 from snakejax.estimation.discrepancy.segments import Segments
-from snakejax.estimation.goodness_of_fit import NOISE_SIGMAS
+from snakejax.estimation.goodness_of_fit import BAND, NOISE_SIGMAS
 from snakejax.recording.run import Run
 
+from ..explanation import RunBand
 from .search import Search
+from .subsets import Subsets
 
 
 class PredictiveCheck(NamedTuple):
@@ -27,21 +37,21 @@ class PredictiveCheck(NamedTuple):
         return self.misfit <= self.highest
 
 
-def predictive_check(
-    search: Search, runs: Sequence[Run], values: np.ndarray, best: Optimum, discrepancy: Discrepancy
-) -> PredictiveCheck | None:
-    """The check of `runs` under the parameters `values`, uncertain as `best` says; None if there is no run.
-
-    With the innovations r of the filter and their derivatives D by the parameters, of covariance C,
-    chi^2 = r^T (1 + D C D^T)^-1 r.
-    """
-    if not runs:
-        return None
+def smoothed_segments(search: Search, runs: Sequence[Run], values: np.ndarray, discrepancy: Discrepancy) -> SegmentData:
+    """The segments of `runs` under the parameters `values`, linearised at their smoothed states."""
     segments = Segments(search.model.model, runs, search.model.names)
     z = segments.with_steady_memories(values, segments.guess())
     data = segment_data(segments.cut, segments.linearise(values, z), z)
     z = moved_states(segments.cut, z, smooth(data, discrepancy, np.zeros(len(values))))
-    data = segment_data(segments.cut, segments.linearise(values, z), z)
+    return segment_data(segments.cut, segments.linearise(values, z), z)
+
+
+def predictive_check(data: SegmentData, best: Optimum, discrepancy: Discrepancy) -> PredictiveCheck:
+    """The check of runs whose segments are `data`, under parameters as uncertain as `best` says.
+
+    With the innovations r of the filter and their derivatives D by the parameters, of covariance C,
+    chi^2 = r^T (1 + D C D^T)^-1 r.
+    """
     gram, _ = gram_matrices(data, discrepancy)
     total, rows = gram.sum(axis=0), np.array(best.free, int) + 1
     right = total[rows, 0]
@@ -49,3 +59,34 @@ def predictive_check(
     chi2 = total[0, 0] - right @ np.linalg.solve(normal, right)
     samples = int(data.present.sum())
     return PredictiveCheck(float(chi2 / samples), 1.0 + NOISE_SIGMAS * float(np.sqrt(2.0 / samples)))
+
+
+def bands(runs: Sequence[Run], data: SegmentData, best: Optimum, discrepancy: Discrepancy) -> tuple[RunBand, ...]:
+    """How well bands of 95%, predicted from the start of each run, hold what was measured."""
+    inside = open_loop(data, discrepancy, best.free).inside(BAND, covariance=best.covariance)
+    return _named(runs, inside)
+
+
+def left_out_bands(
+    runs: Sequence[Run], data: SegmentData, problem: Subsets, gram: np.ndarray, effects: Sequence[str], discrepancy
+) -> tuple[RunBand, ...]:
+    """The same for train runs, each predicted with the parameters of the others; a single run predicts itself.
+
+    `gram` (R, P + 1, P + 1): the Gram matrices of the runs, of which `problem` is the sum.
+    """
+    free = problem.with_effects(effects).free
+    others = [problem.gram - one for one in gram] if len(gram) > 1 else [problem.gram]
+    fits = [problem.with_effects(effects, other) for other in others]
+    covariance = np.zeros((len(gram), len(free), len(free)))
+    for k, fit in enumerate(fits):
+        # What ends on a bound without the run is known as well as that bound.
+        place = [free.index(column) for column in fit.free if column in free]
+        kept = [fit.free.index(column) for column in fit.free if column in free]
+        covariance[k][np.ix_(place, place)] = fit.covariance[np.ix_(kept, kept)]
+    steps = np.array([fit.step[list(free)] for fit in fits])
+    inside = open_loop(data, discrepancy, free).inside(BAND, steps, covariance)
+    return _named(runs, inside)
+
+
+def _named(runs: Sequence[Run], inside: np.ndarray) -> tuple[RunBand, ...]:
+    return tuple(RunBand(run.name, run.role, float(share)) for run, share in zip(runs, inside, strict=True))

@@ -95,6 +95,10 @@ class SelectionCriteria(NamedTuple):
     largest_random_force: float = 0.05
     """A random force above this share of the force that moves the vehicle is no disturbance but a law that the model
     lacks: the recordings are not explained."""
+    least_inside: float = 0.5
+    """Where bands of 95% hold less than this share of the samples of runs left out, what the model lacks is no random
+    force: it acts in the same way for long, so that errors grow faster than those of a random force. Errors within a
+    run depend on each other, so that a single run may well have less than 0.95."""
 
     # The latent force
     coexisting_excess_ratio: float = 0.5

@@ -226,26 +226,6 @@ def smooth(data: SegmentData, discrepancy: Discrepancy, step: Float[np.ndarray, 
     return smoothed
 
 
-def open_loop_sd(data: SegmentData, discrepancy: Discrepancy) -> np.ndarray:
-    """Root mean square error (R, 3) [m, m, rad] of simulations of whole runs whose start is known: what the random
-    force makes of the motion, and the noise of the cameras."""
-    R, K, _, _, nz = data.state.shape
-    force_variance = np.concatenate([np.zeros(nz - FORCE), discrepancy.force**2])
-    decay = np.exp(-LENGTH / discrepancy.force_time)
-    variance = np.tile(np.diag(force_variance), (R, 1, 1))
-    total, count = np.zeros((R, 3)), np.zeros((R, 3))
-    for k in range(K):
-        if k:
-            F = data.transition[:, k].copy()
-            F[:, nz - FORCE :, :] = 0.0
-            F[:, range(nz - FORCE, nz), range(nz - FORCE, nz)] = decay
-            variance = F @ variance @ F.transpose(0, 2, 1) + np.diag((1 - decay**2) * force_variance)
-        moved = np.einsum("rnci,rij,rncj->rnc", data.state[:, k], variance, data.state[:, k])
-        total += (data.present[:, k] * moved).sum(axis=1)
-        count += data.present[:, k].sum(axis=1)
-    return np.sqrt(total / np.maximum(count, 1) + discrepancy.white**2 + discrepancy.wander**2)
-
-
 def _gain(predicted: np.ndarray, cross: np.ndarray) -> np.ndarray:
     """predicted^-1 cross, each (R, d, d), with `predicted` scaled to a unit diagonal."""
     size = np.sqrt(np.maximum(np.einsum("rii->ri", predicted), 1e-30))

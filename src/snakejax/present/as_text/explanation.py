@@ -33,7 +33,8 @@ def explanation_text(explanation: Explanation) -> RenderableType:
         values = _values(explanation.final.estimates_of(effect))
         lines.append(Text(f"{effect}: {explanation.final.description_of(effect)} {values}{note}"))
         lines += [Text(f"  {line}", style="dim") for line in confidence_sentences(explanation, effect)]
-    lines += [Text(line) for line in (*floor_sentences(explanation), *horizon_sentences(explanation))]
+    beside = (floor_sentences, horizon_sentences, band_sentences, odd_run_sentences)
+    lines += [Text(line) for sentences in beside for line in sentences(explanation)]
     lines += [Text(line) for line in confusable_sentences(explanation.base, explanation.effects)]
     if explanation.missing is not None:
         lines += [Text(""), _dependence(explanation)]
@@ -115,6 +116,27 @@ def horizon_sentences(explanation: Explanation) -> Iterator[str]:
         yield f"{words} for {wanted} in {needed.horizon:g} s: the error is {there}."
         return
     yield f"No run is long enough to say whether it is good enough for {wanted} in {needed.horizon:g} s."
+
+
+def band_sentences(explanation: Explanation) -> Iterator[str]:
+    """What share of the runs lies inside the bands of the predictions."""
+    for role, name in (("heldout", "held-out"), ("train", "train")):
+        inside = [band.inside for band in explanation.bands if band.role == role]
+        if inside:
+            mean = 100 * sum(inside) / len(inside)
+            yield f"The 95% bands of predictions from the start of each run hold {mean:.1f}% of the {name} samples."
+            return
+
+
+def odd_run_sentences(explanation: Explanation) -> Iterator[str]:
+    """The runs that differ from the others, and by what."""
+    for odd in explanation.odd_runs:
+        value = f"{number(odd.shift, odd.sd)} +- {number(odd.sd, odd.sd)}"
+        alike = f", or {listed(odd.alike, 'or')}," if odd.alike else ""
+        yield (
+            f"Run {odd.run} differs from the others, as if {odd.parameter}{alike} were {value} more there"
+            f" (p = {odd.p_value:.1g}). Look at this run, or leave it out."
+        )
 
 
 def _dependence(explanation: Explanation) -> RenderableType:

@@ -14,7 +14,14 @@ from snakejax.recording.run import Noise
 from ..as_json.explanation import base_headline, warnings
 from ..as_json.values import Json
 from ..as_text.errors import error_text
-from ..as_text.explanation import confidence_sentences, floor_sentences, headline, horizon_sentences
+from ..as_text.explanation import (
+    band_sentences,
+    confidence_sentences,
+    floor_sentences,
+    headline,
+    horizon_sentences,
+    odd_run_sentences,
+)
 from ..as_text.fit import noise_line
 from ..as_text.tables import not_converged_line
 from ..views import ModelView, view_of_step
@@ -74,7 +81,8 @@ def explanation_page(found: Explanation, result: Json, models: Sequence[ModelVie
         parts.insert(2, sections.missing(result, charts))
     if found.confidence or found.candidates:
         said = [f"{effect}: {' '.join(confidence_sentences(found, effect))}" for effect in found.confidence]
-        said += [*floor_sentences(found), *horizon_sentences(found)]
+        beside = (floor_sentences, horizon_sentences, band_sentences, odd_run_sentences)
+        said += [line for sentences in beside for line in sentences(found)]
         parts.insert(2, certainty(result, said))
     parts += [
         sections.failing(models),

@@ -1,0 +1,82 @@
+"""Runs that differ from the others, against refits with scipy and against chance."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from snakejax.core.parameter import Domain
+from snakejax.diagnosis.odd_runs import LEVEL, TRAIN_RUNS, OddRun, odd_runs, run_grams
+
+RUNS, SAMPLES, FITTED = ("one", "two", "three", "four", "five"), 400, (0, 1, 2)
+NAMES = {"tyre.D": 0, "tyre.B": 1, "tyre.C": 2, "marker_offset.x": 3, "yaw_bias.b": 4}
+
+
+def made_up(seed: int, **shift: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Residual, columns and run numbers of five runs; in run three the parameters of `shift` are off by so many
+    standard errors that this run alone would have of them."""
+    rng = np.random.default_rng(seed)
+    C = rng.normal(size=(len(RUNS) * SAMPLES, len(NAMES)))
+    C[:, 1] += 0.8 * C[:, 0]
+    run = np.repeat(np.arange(len(RUNS)), SAMPLES)
+    r = rng.normal(size=len(C)) + C[:, FITTED] @ np.array([0.3, -0.1, 0.2])
+    for name, size in shift.items():
+        odd = C[run == 2, NAMES[name.replace("__", ".")]]
+        r[run == 2] += size / np.linalg.norm(odd) * odd
+    return r, C, run
+
+
+def found_in(seed: int, **shift: float) -> tuple[OddRun, ...]:
+    return odd_runs(run_grams(*made_up(seed, **shift)), RUNS, NAMES, FITTED)
+
+
+def test_the_shift_is_that_of_a_refit_with_a_value_of_its_own() -> None:
+    r, C, run = made_up(1, marker_offset__x=8.0)
+    (odd,) = odd_runs(run_grams(r, C, run), RUNS, NAMES, FITTED)
+    own = np.where(run == 2, C[:, 3], 0.0)
+    A = np.column_stack([C[:, FITTED], own])
+    covariance = np.linalg.inv(A.T @ A)
+    assert (odd.run, odd.parameter) == ("three", "marker_offset.x")
+    assert odd.shift == pytest.approx((covariance @ A.T @ r)[-1], rel=1e-9)
+    assert odd.sd == pytest.approx(covariance[-1, -1] ** 0.5, rel=1e-9)
+    fall = ((r - C[:, FITTED] @ np.linalg.lstsq(C[:, FITTED], r, rcond=None)[0]) ** 2).sum() - (
+        (r - A @ np.linalg.lstsq(A, r, rcond=None)[0]) ** 2
+    ).sum()
+    assert odd.p_value == pytest.approx(stats.chi2.sf(fall, 1) * len(RUNS) * len(NAMES), rel=1e-6)
+
+
+def test_a_run_is_called_odd_by_chance_as_often_as_the_level_says() -> None:
+    """Of 400 boards without an odd run 4 are expected."""
+    false = sum(bool(found_in(1000 + k)) for k in range(400))
+    assert false <= stats.binom.isf(0.003, 400, LEVEL)
+
+
+def test_a_run_with_another_tyre_is_found() -> None:
+    """Seven standard errors of the run alone: the others share a fifth of it, chi^2 falls by 39 on average."""
+    found = [found_in(2000 + k, tyre__D=7.0) for k in range(50)]
+    assert sum(bool(odd) and odd[0].run == "three" for odd in found) >= 47
+    named = [odd[0] for odd in found if odd]
+    assert sum("tyre.D" in (odd.parameter, *odd.alike) for odd in named) >= 45
+
+
+def test_of_two_runs_none_is_the_odd_one() -> None:
+    r, C, run = made_up(3, tyre__D=50.0)
+    keep = (run == 1) | (run == 2)
+    gram = run_grams(r[keep], C[keep], run[keep] - 1)
+    assert len(gram) < TRAIN_RUNS
+    assert odd_runs(gram, RUNS[1:3], NAMES, FITTED) == ()
+
+
+def test_a_parameter_that_a_run_does_not_show_is_not_blamed() -> None:
+    r, C, run = made_up(4)
+    C[run == 2, 4] = 0.0
+    r[run == 2] += 100.0 * C[run == 2, 3]
+    (odd, *_) = odd_runs(run_grams(r, C, run), RUNS, NAMES, FITTED)
+    assert (odd.parameter, odd.alike) == ("marker_offset.x", ())
+    assert all(np.isfinite((other.shift, other.sd)).all() for other in (odd, *_))
+
+
+def test_a_shift_of_a_logarithm_is_told_in_units() -> None:
+    odd = OddRun("one", "tyre.D", 0.1, 0.02, 1e-4)
+    told = odd.in_units(Domain("N", 0.0, np.inf, positive=True, multiplicative=True), 5.0)
+    assert (told.shift, told.sd) == pytest.approx((0.5, 0.1))
+    assert odd.in_units(Domain("m", -np.inf, np.inf, positive=False, multiplicative=False), 5.0) == odd
