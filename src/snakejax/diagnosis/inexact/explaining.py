@@ -137,8 +137,10 @@ def _row(found: Assessment, number: int, here: tuple[str, ...], effect: str) -> 
         why = "taken in a later step"
     elif twins:
         why = f"these runs cannot tell it from {', '.join(twins)}"
-    elif fall >= threshold:
+    elif fall >= threshold and len(here) < len(found.effects):
         why = "the effects that were taken explain what it explains"
+    elif fall >= threshold:
+        why = f"refused: runs left out are not predicted better, although chi^2 falls by {fall:.4g}"
     else:
         why = f"refused: chi^2 falls by {fall:.3g}, by chance at most {threshold:.3g}"
     p = min(1.0, subsets.p_value(effect, fall) * len(found.search.model.candidates))

@@ -14,9 +14,10 @@ from .subsets import left_out_errors
 
 
 class Gain(NamedTuple):
-    """By how much an effect lowers the squared error of each run left out, `by_run` (R,), in units of the noise.
+    """What an effect is worth on runs left out.
 
-    `share`: of the squared error without any effect.
+    `by_run` (R,): the fall of chi^2 of each run against noise and random force, under the parameters of the others.
+    `share`: the fall of the squared error of whole runs, of that without any effect.
     """
 
     by_run: Float[np.ndarray, " R"]
@@ -49,8 +50,15 @@ class LeftOut(NamedTuple):
     def gain(self, effects: Iterable[str], effect: str) -> Gain:
         """What `effect` is worth beside the others of `effects`."""
         rest = [other for other in effects if other != effect]
-        fall = self.error(rest) - self.error([*rest, effect])
-        return Gain(fall, float(fall.sum() / self.error([]).sum()))
+        share = (self.error(rest) - self.error([*rest, effect])).sum() / self.error([]).sum()
+        return Gain(self._chi2(rest) - self._chi2([*rest, effect]), float(share))
+
+    def _chi2(self, effects: Iterable[str]) -> np.ndarray:
+        """chi^2 (R,) of each run against noise and random force, with `effects`."""
+        if len(self.linear.gram) < 2:
+            step = self.linear.subsets.with_effects(effects).step
+            return np.array([quadratic(gram, step) for gram in self.linear.gram])
+        return left_out_errors(self.linear.subsets, self.linear.gram, self.linear.gram, effects)
 
     def explained_share(self, effects: Iterable[str]) -> float:
         """The share of the squared error that all `effects` take away."""
