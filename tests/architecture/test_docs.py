@@ -41,6 +41,27 @@ def test_the_site_names_every_command_and_effect(site: Path) -> None:
     assert all(f"<code>{name}</code>" in effects for name in LIBRARY)
 
 
+@pytest.mark.parametrize("name", LIBRARY)
+def test_each_effect_has_its_formula_its_sign_and_its_picture(site: Path, name: str) -> None:
+    page = (site / "effects" / "index.html").read_text(encoding="utf-8")
+    part = page.split(f'<h3 id="{name}">')[1].split("<h3")[0]
+    assert "<pre>" in part and re.search(r"[Pp]ositive", re.sub(r"<[^>]*>", " ", part))
+    assert re.search(r'<img[^>]* src="([^"]+)"', part)[1] == f"{name}.svg"
+    # The lines of the effect: a picture with nothing but axes is shorter.
+    assert (site / "effects" / f"{name}.svg").read_text(encoding="utf-8").count("<path") > 20
+
+
+def test_troubleshooting_quotes_what_the_program_says() -> None:
+    source = " ".join(path.read_text(encoding="utf-8") for path in (ROOT / "src" / "snakejax").rglob("*.py"))
+    text = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
+    messages = [
+        m for row in re.findall(r"^\| (`.*?) \|", text, flags=re.MULTILINE) for m in re.findall(r"`([^`]+)`", row)
+    ]
+    assert len(messages) > 50
+    parts = [part.strip(" :,") for message in messages for part in message.split("...")]
+    assert [part for part in parts if part not in source] == []
+
+
 def test_the_site_asks_nothing_of_a_network_to_be_read(site: Path) -> None:
     for page in site.rglob("*.html"):
         text = page.read_text(encoding="utf-8")

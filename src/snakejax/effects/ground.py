@@ -16,7 +16,13 @@ if TYPE_CHECKING:
 
 
 class GroundSlope(Force):
-    """Force -m g (sx, sy) in the world frame at the centre of mass; a positive slope rises along the axis."""
+    """Component of the weight along a floor that is not level, at the centre of mass, g = 9.81 m/s^2.
+
+        (force along world x, force along world y) = -m g (sx, sy)
+
+    Positive sx: the floor rises along the x axis of the cameras, so the force points to smaller x. The same for sy
+    and y.
+    """
 
     description = "The ground is not level."
     sx: Scalar = param("rad", default=0.0)
@@ -29,7 +35,12 @@ class GroundSlope(Force):
 
 
 class ComOffset(Geometry):
-    """The centre of mass, the point (x, y), is a [m] ahead of the middle: wheelsets at L - a and -(L + a)."""
+    """The centre of mass, whose position is (x, y), lies ahead of the middle between the wheelsets.
+
+        arm of the front wheelset = L - a        arm of the back wheelset = -L - a
+
+    Positive a: the centre of mass is nearer to the front wheelset.
+    """
 
     description = "The centre of mass is not in the middle between the wheelsets."
     a: Scalar = param("m", default=0.0)

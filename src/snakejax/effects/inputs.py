@@ -18,7 +18,12 @@ def _on_steering(gait: Gait, change) -> Gait:
 
 
 class SteeringLag(InputModifier):
-    """phi(t) = phi_command(t - T), zero before t = T."""
+    """The steering answers its command late.
+
+        phi(t) = phi_command(t - T), and 0 before t = T
+
+    Positive T: late. A lag below zero has no physical cause; see `ClockOffset`.
+    """
 
     description = "The steering answers its command late."
     T: Scalar = param("s", low=0.0, default=0.0)
@@ -28,7 +33,12 @@ class SteeringLag(InputModifier):
 
 
 class RotorLag(InputModifier):
-    """psi(t) = psi_command(t - T), zero before t = T."""
+    """The rotor answers its command late.
+
+        psi(t) = psi_command(t - T), and 0 before t = T
+
+    Positive T: late.
+    """
 
     description = "The rotor answers its command late."
     T: Scalar = param("s", low=0.0, default=0.0)
@@ -38,7 +48,12 @@ class RotorLag(InputModifier):
 
 
 class SteeringGain(InputModifier):
-    """phi = (1 + g) phi_command."""
+    """The steering turns further than commanded.
+
+        phi = (1 + g) phi_command
+
+    Positive g: further than commanded; negative g: less far.
+    """
 
     description = "The steering turns further than commanded, or less far."
     g: Scalar = param("-", default=0.0)
@@ -48,7 +63,12 @@ class SteeringGain(InputModifier):
 
 
 class RotorGain(InputModifier):
-    """psi = (1 + g) psi_command."""
+    """The rotor turns further than commanded.
+
+        psi = (1 + g) psi_command
+
+    Positive g: further than commanded; negative g: less far. A relative error of the rotor inertia has the same effect.
+    """
 
     description = "The rotor turns further than commanded, or less far."
     equivalent_constant: ClassVar[dict[str, str]] = {"g": "rotor_inertia"}
@@ -60,7 +80,12 @@ class RotorGain(InputModifier):
 
 
 class SteeringBacklash(Linkage):
-    """Smooth dead zone: wheel angle = phi - b tanh(phi / b); wheel angle = phi for b = 0."""
+    """Play between steering joint and wheel, as a smooth dead zone.
+
+        wheel angle = phi - b tanh(phi / b), and phi for b = 0
+
+    Positive b: the wheel turns less than the joint, by at most b.
+    """
 
     description = "The steering has play: small joint angles do not reach the wheels."
     order: ClassVar[int] = 0
@@ -83,7 +108,12 @@ class SteeringBacklash(Linkage):
 
 
 class SteeringOffset(Linkage):
-    """phi_front += o, phi_back -= o: with centred steering the board drives a curve."""
+    """The steering is not centred: with the joint at zero the board drives a curve.
+
+        phi_front += o        phi_back -= o
+
+    Positive o: the front wheelset is turned counter-clockwise, and the board curves to the left as it rolls forward.
+    """
 
     description = "The steering is not centred: straight ahead is a curve."
     o: Scalar = param("rad", default=0.0)
@@ -93,7 +123,12 @@ class SteeringOffset(Linkage):
 
 
 class SteeringCrab(Linkage):
-    """phi_front += o, phi_back += o: the board drives at an angle to its axis."""
+    """Both wheelsets are turned the same way: the board drives at an angle to its axis.
+
+        phi_front += o        phi_back += o
+
+    Positive o: both wheelsets are turned counter-clockwise, and the board drifts to the left as it rolls forward.
+    """
 
     description = "Both wheelsets are turned the same way: the board crabs."
     o: Scalar = param("rad", default=0.0)

@@ -9,7 +9,12 @@ from snakejax.dynamics.ports import Force, RollingForce
 
 
 class LongitudinalSlip(RollingForce):
-    """T_i = k a_i: the wheels slip along their rolling direction (hypothesis of Salman et al. 2016, forward gait)."""
+    """Loss of drive in proportion to the rolling speed a_i (hypothesis of Salman et al. 2016 for the forward gait).
+
+        T_i = k a_i
+
+    T_i acts against the rolling of wheelset i. Positive k: it slows the wheelset, whichever way it rolls.
+    """
 
     description = "The wheels lose drive by slipping along their rolling direction, in proportion to speed."
     k: Scalar = param("N s/m", low=0.0, default=0.0)
@@ -20,7 +25,12 @@ class LongitudinalSlip(RollingForce):
 
 
 class RollingResistance(RollingForce):
-    """T_i = f tanh(a_i / 5 mm/s): Coulomb friction, smoothed below 5 mm/s so that it can be integrated."""
+    """Coulomb friction of rolling, smoothed below 5 mm/s so that it can be integrated.
+
+        T_i = f tanh(a_i / 5 mm/s)
+
+    T_i acts against the rolling speed a_i of wheelset i. Positive f: it slows the wheelset, whichever way it rolls.
+    """
 
     description = "Each wheelset resists rolling with a constant force."
     f: Scalar = param("N", low=0.0, default=0.0)
@@ -31,7 +41,12 @@ class RollingResistance(RollingForce):
 
 
 class BodyDrag(Force):
-    """(X, Y) -= c (u, w): linear drag of the body."""
+    """Linear drag of the body.
+
+        (X, Y) -= c (u, w)
+
+    X and Y are the force along and across the body, u and w its velocities. Positive c: it slows the board.
+    """
 
     description = "The body drags in proportion to speed: casters, a trailing cable."
     c: Scalar = param("N s/m", low=0.0, default=0.0)
@@ -41,7 +56,12 @@ class BodyDrag(Force):
 
 
 class QuadraticDrag(Force):
-    """(X, Y) -= c |(u, w)| (u, w): quadratic drag of the body."""
+    """Quadratic drag of the body.
+
+        (X, Y) -= c |(u, w)| (u, w)
+
+    X and Y are the force along and across the body, u and w its velocities. Positive c: it slows the board.
+    """
 
     description = "The body drags with the square of speed, as in air."
     c: Scalar = param("N s^2/m^2", low=0.0, default=0.0)
@@ -52,7 +72,12 @@ class QuadraticDrag(Force):
 
 
 class YawDamping(Force):
-    """N -= c r: linear damping of the yaw rate."""
+    """Linear damping of the yaw rate r.
+
+        N -= c r
+
+    N is the yaw moment, positive counter-clockwise. Positive c: it slows the turning.
+    """
 
     description = "Turning is damped in proportion to the yaw rate."
     c: Scalar = param("N m s", low=0.0, default=0.0)
@@ -63,7 +88,12 @@ class YawDamping(Force):
 
 
 class YawFriction(Force):
-    """N -= t tanh(r / 0.02 rad/s): Coulomb friction in yaw, smoothed below 0.02 rad/s so that it can be integrated."""
+    """Coulomb friction in yaw, smoothed below a yaw rate of 0.02 rad/s so that it can be integrated.
+
+        N -= t tanh(r / 0.02 rad/s)
+
+    N is the yaw moment, positive counter-clockwise. Positive t: it slows the turning.
+    """
 
     description = "Turning is resisted by a constant moment: casters scrub."
     t: Scalar = param("N m", low=0.0, default=0.0)
@@ -74,7 +104,12 @@ class YawFriction(Force):
 
 
 class YawBias(Force):
-    """N += t: constant yaw moment."""
+    """Constant yaw moment.
+
+        N += t
+
+    Positive t: the moment turns the board counter-clockwise, seen from above.
+    """
 
     description = "A constant moment turns the board: a twisted cable, a rotor drive that leans on the body."
     t: Scalar = param("N m", default=0.0)

@@ -8,7 +8,13 @@ from snakejax.dynamics.ports import Delay, Sensor
 
 
 class MarkerOffset(Sensor):
-    """Reported position = (x, y) + R(heading) (mx, my), with R the rotation by the heading."""
+    """The tracked point is not the centre of mass.
+
+        reported (x, y) = (x, y) + R(heading) (mx, my)
+
+    R is the rotation by the heading. Positive mx: the tracked point is ahead of the centre of mass; positive my: to its
+    left.
+    """
 
     description = "Motion capture tracks a point beside the centre of mass."
     mx: Scalar = param("m", default=0.0)
@@ -20,7 +26,12 @@ class MarkerOffset(Sensor):
 
 
 class HeadingOffset(Sensor):
-    """Reported heading = heading + h, applied after the marker offset."""
+    """The x axis of the tracked object is turned against that of the board; applied after `MarkerOffset`.
+
+        reported heading = heading + h
+
+    Positive h: the axis of the object is turned counter-clockwise, seen from above.
+    """
 
     description = "Motion capture's body axis is turned against the board's."
     order: ClassVar[int] = 1
@@ -31,7 +42,12 @@ class HeadingOffset(Sensor):
 
 
 class ClockOffset(Delay):
-    """The pose reported at t is that of command time t - T; the board is at rest before 0."""
+    """The clocks of cameras and commands do not agree; the board is at rest before command time 0.
+
+        reported pose(t) = pose(t - T)
+
+    Positive T: the cameras report a pose T too late, or they were started T before the commands.
+    """
 
     description = "The clocks of motion capture and of the commands do not agree."
     T: Scalar = param("s", default=0.0)

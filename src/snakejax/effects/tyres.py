@@ -27,7 +27,12 @@ def _needs_slip_angle(model: "Model") -> str | None:
 
 
 class GripSplit(LateralForce):
-    """F_i (1 + s) for wheelsets ahead of the middle, F_i (1 - s) for wheelsets behind it."""
+    """The wheelsets differ in grip.
+
+        F_i (1 + s) for wheelsets ahead of the middle        F_i (1 - s) for wheelsets behind it
+
+    Positive s: the front wheelset grips more than the back one.
+    """
 
     description = "The front wheelset grips better than the back one, or worse."
     unobservable_because = "under the coupled structure with opposite wheel angles both wheelsets share one slip."
@@ -42,7 +47,13 @@ class GripSplit(LateralForce):
 
 
 class StribeckGrip(LateralForce):
-    """F_i (1 + s exp(-(v_i / v_s)^2)) with the Stribeck speed v_s = `speed` = 0.05 m/s, a fixed small slip speed."""
+    """The lateral force F_i is another at small slip speed than the law says.
+
+        F_i (1 + s exp(-(v_i / v_s)^2))
+
+    v_s = `speed` = 0.05 m/s is the Stribeck speed, v_i the lateral slip speed. Positive s: more grip at small slip
+    speed.
+    """
 
     description = "The tyre grips harder (or less) while it barely slips than when it slides."
     s: Scalar = param("-", low=-0.99, default=0.0)
@@ -57,7 +68,12 @@ class StribeckGrip(LateralForce):
 
 
 class GripGradient(TyreModifier):
-    """D (1 + g x), or k_s (1 + g x), with x [m] the world coordinate of the centre of mass."""
+    """The friction of the ground changes along the x axis of the cameras; B stays.
+
+        D (1 + g x), or k_s (1 + g x)
+
+    x [m] is the position of the centre of mass. Positive g: more grip at larger x.
+    """
 
     description = "The ground grips better at one side of the arena than at the other."
     g: Scalar = param("1/m", default=0.0)
@@ -70,7 +86,13 @@ class GripGradient(TyreModifier):
 
 
 class TyreOffset(TyreModifier):
-    """Offsets of the magic formula (paper eq. 5): dSh is added to the slip angle, dSv to the force."""
+    """Offsets of the magic formula (paper eq. 5): the lateral force is not zero at zero slip.
+
+        F = D sin(C atan(B eta)) + dSv        eta = (1 - E)(delta + dSh) + (E / B) atan(B (delta + dSh))
+
+    A positive F acts to the right of the wheel, against a positive slip to its left. Positive dSv: added to F at every
+    slip. Positive dSh: added to the slip angle delta.
+    """
 
     description = "The tyre pulls to one side: its force is not zero at zero slip (camber, ply steer)."
     dSh: Scalar = param("rad", default=0.0)
@@ -89,10 +111,13 @@ class TyreOffset(TyreModifier):
 
 
 class TyreRelaxation(TyreState):
-    """First-order relaxation of the slip angle: dm/dt = (|a_i| + 0.02 m/s) / sigma (delta - m); none for sigma = 0.
+    """The tyre builds up its force only over a rolled distance: it sees m in place of the slip angle delta.
 
-    The speed 0.02 m/s keeps the relaxation finite at rest. A sigma between 0 and 1 mm acts as 1 mm: recordings do not
-    distinguish a shorter one from zero, and the equations would be stiff.
+        dm/dt = (|a_i| + 0.02 m/s) / sigma (delta - m), m = 0 at the start; m = delta for sigma = 0
+
+    Positive sigma: the force follows the slip after a rolled distance of about sigma. The speed 0.02 m/s keeps the
+    relaxation finite at rest. A sigma between 0 and 1 mm acts as 1 mm: recordings do not distinguish a shorter one from
+    zero, and the equations would be stiff.
     """
 
     description = "The tyre builds up its force only after rolling some distance (relaxation length)."
