@@ -276,7 +276,7 @@ def _advised(
     G, restricted_pair = given.restricted(pair)
     assert restricted_pair is not None
     board = given.model.board
-    extra = PAYLOAD * float(board.mass) * np.array([1.0, (float(board.half_length) / 2) ** 2])
+    extra = PAYLOAD * float(board.mass) * np.array([1.0, (float(board.length) / 2) ** 2])
     start = np.asarray(designed.start, float)
     train = [run for run in runs if run.role == "train" and not run.moving and run.gait.phi_back is None]
 

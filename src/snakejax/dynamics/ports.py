@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from snakejax.core.parameter import Parametrised, Scalar
 
-from .inputs import Gait
+from .inputs import AbstractInputs
 from .signals import Joint
 from .tyres import AbstractTyre
 from .vehicle import AbstractVehicle, Wheelset
@@ -99,7 +99,7 @@ class InputModifier(Effect):
     """Changes the commands of the joints."""
 
     @abc.abstractmethod
-    def gait(self, gait: Gait) -> Gait:
+    def gait(self, gait: AbstractInputs) -> AbstractInputs:
         """The gait that the joints receive."""
 
 

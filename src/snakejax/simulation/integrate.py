@@ -169,6 +169,8 @@ def _stable_at_rest(model: Model, gait: Gait, state: Any, t: Scalar) -> Scalar:
     body, memories = jax.tree.map(jnp.zeros_like, state)
     nudged = (*body[:3], *(part + NUDGE for part in body[3:]))
     rates = [jax.tree.leaves(model.rates(t, (at, memories), gait)[0])[3:] for at in (body, nudged)]
+    if not rates[0]:  # The inputs alone prescribe the motion.
+        return jnp.asarray(jnp.inf)
     fastest = jnp.max(jnp.abs(jnp.stack(rates[1]) - jnp.stack(rates[0]))) / NUDGE
     return 2.0 / jnp.maximum(jax.lax.stop_gradient(fastest), 1.0)
 

@@ -27,8 +27,7 @@ def torques(model: Model, gait: Gait, trajectory: Trajectory) -> Float[Array, "n
         motion = model.motion(t, state[0], gait)
         rates = model.rates(t, state, gait)
         yaw_acceleration = jax.jvp(yaw_rate, (t, state), (jnp.ones(()), jax.tree.map(jnp.asarray, rates)))[1]
-        steering = 2 * model.board.wheelset_inertia * motion.steering.acceleration
-        return jnp.stack([steering, model.board.rotor_inertia * (motion.rotor.acceleration + yaw_acceleration)])
+        return jnp.stack(model.board.actuator_torques(motion.inputs, yaw_acceleration))
 
     return jax.vmap(at)(trajectory.command_times, trajectory.state)
 

@@ -162,7 +162,7 @@ def _asked(model: Model, gait, payload, times, states, shift, sd, viscous: bool)
     model = model.with_traced_payload(payload)
     board = model.effective_vehicle()
     places = [wheelset.place for wheelset in board.wheelsets]
-    size = jnp.stack([board.mass, board.mass, board.total_inertia / board.half_length])
+    size = jnp.stack([board.mass, board.mass, board.total_inertia / board.length])
 
     def world(t, state, push):
         """Velocity and acceleration (x, y, heading), under extra tractions `push`."""
