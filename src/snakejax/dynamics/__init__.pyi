@@ -25,6 +25,8 @@ from .ports import RollingForce as RollingForce
 from .ports import Sensor as Sensor
 from .ports import TyreModifier as TyreModifier
 from .ports import TyreState as TyreState
+from .sampled_signals import Actuator as Actuator
+from .sampled_signals import Held as Held
 from .signals import AbstractSignal as AbstractSignal
 from .signals import Delayed as Delayed
 from .signals import Joint as Joint

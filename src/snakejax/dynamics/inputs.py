@@ -90,6 +90,32 @@ class Gait(AbstractInputs):
         return Gait(change(self.phi), self.psi, None if self.phi_back is None else change(self.phi_back))
 
 
+class Commanded(AbstractInputs):
+    """Inputs on which all changes by effects have been made already: `Model.prepared` makes them once for a run."""
+
+    inputs: AbstractInputs
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the signals."""
+        return self.inputs.names
+
+    def signal(self, name: str) -> AbstractSignal:
+        """The signal of one input."""
+        return self.inputs.signal(name)
+
+    def changed(self, name: str, change: Callable[[AbstractSignal], AbstractSignal]) -> "Commanded":
+        """These inputs with one signal changed."""
+        return Commanded(self.inputs.changed(name, change))
+
+
+def as_gait(inputs: AbstractInputs) -> Gait:
+    """`inputs`, which are those of a snakeboard. **Raises:** `TypeError` for those of another vehicle."""
+    if not isinstance(inputs, Gait):
+        raise TypeError(f"A snakeboard is driven by a Gait, not by {type(inputs).__name__}.")
+    return inputs
+
+
 class Inputs(AbstractInputs):
     """The signals of any vehicle by name: `Inputs({"steer": ..., "drive": ...})`."""
 

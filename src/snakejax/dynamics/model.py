@@ -12,7 +12,7 @@ from snakejax.core.parameter import Scalar
 
 from .constraints import AbstractConstraint
 from .contact import AppliedForces, Configuration, Motion, Velocities, Wheel, combined_slip, slip_angle
-from .inputs import AbstractInputs
+from .inputs import AbstractInputs, Commanded
 from .ports import (
     Delay,
     Effect,
@@ -113,9 +113,16 @@ class Model(eqx.Module):
 
     def commanded(self, gait: AbstractInputs) -> AbstractInputs:
         """The gait after all `InputModifier` effects."""
+        if isinstance(gait, Commanded):
+            return gait
         for effect in self.effects_of(InputModifier):
             gait = effect.gait(gait)
         return gait
+
+    def prepared(self, gait: AbstractInputs) -> AbstractInputs:
+        """`gait`, with the effects on it made once and for all where one of them is costly (`InputModifier.once`)."""
+        costly = any(effect.once for effect in self.effects_of(InputModifier))
+        return Commanded(self.commanded(gait)) if costly and not isinstance(gait, Commanded) else gait
 
     def delay(self) -> Scalar:
         """The delay [s] of the reported pose behind the clock of the commands."""

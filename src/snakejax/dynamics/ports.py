@@ -98,6 +98,10 @@ class TyreState(Effect):
 class InputModifier(Effect):
     """Changes the commands of the joints."""
 
+    stage: ClassVar[int] = 0
+    once: ClassVar[bool] = False
+    """Whether the change is costly, so that a simulation makes it once and not at every instant."""
+
     @abc.abstractmethod
     def gait(self, gait: AbstractInputs) -> AbstractInputs:
         """The gait that the joints receive."""

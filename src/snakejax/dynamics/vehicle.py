@@ -86,6 +86,10 @@ class AbstractVehicle(Parametrised):
     relaxed: ClassVar[dict[str, str]] = {}
     friction: ClassVar[float] = 0.2
     """Coefficient of friction with which a fit of its tyres starts."""
+    gain_of: ClassVar[dict[str, str]] = {}
+    """The constant that multiplies an input, by the name of the input."""
+    acts_under: ClassVar[dict[str, str]] = {}
+    """Constants that act under one structure alone, with its name."""
     stated_sd: ClassVar[dict[str, float]] = {"mass": 0.03, "inertia": 0.07}
     """Relative standard deviations of its constants where case.toml states none."""
 

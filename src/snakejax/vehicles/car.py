@@ -31,6 +31,7 @@ class Car(AbstractVehicle):
 
     noun: ClassVar[str] = "car"
     inputs: ClassVar[tuple[Input, ...]] = (Input("steer", "angle", "steering"), Input("drive", "command", "drive"))
+    gain_of: ClassVar[dict[str, str]] = {"steer": "steering_ratio", "drive": "force_gain"}
     friction: ClassVar[float] = 0.8
     structures: ClassVar[dict[str, type[AbstractConstraint]]] = {"free": Slipping, "ideal": NonSlipping}
     relaxed: ClassVar[dict[str, str]] = {"ideal": "free"}

@@ -44,6 +44,7 @@ class SkidSteer(AbstractVehicle):
     friction: ClassVar[float] = 0.6
     structures: ClassVar[dict[str, type[AbstractConstraint]]] = {"free": Slipping, "ideal": DifferentialDrive}
     relaxed: ClassVar[dict[str, str]] = {"ideal": "free"}
+    acts_under: ClassVar[dict[str, str]] = {"effective_track": "ideal"}
     stated_sd: ClassVar[dict[str, float]] = {"mass": 0.1, "half_base": 0.02, "half_track": 0.02, "inertia": 0.2}
 
     mass: Scalar = param("kg", positive=True)

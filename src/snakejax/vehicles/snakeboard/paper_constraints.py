@@ -10,7 +10,7 @@ from snakejax.core.fast_math import sine_cosine
 from snakejax.core.parameter import Scalar
 from snakejax.dynamics.constraints import AbstractConstraint, State
 from snakejax.dynamics.contact import AppliedForces, Configuration, Velocities
-from snakejax.dynamics.inputs import AbstractInputs, Gait
+from snakejax.dynamics.inputs import AbstractInputs, as_gait
 from snakejax.dynamics.vehicle import AbstractVehicle
 
 from .closed_form import NoSlip, as_board, needs_two_wheelsets
@@ -23,11 +23,10 @@ def integrated_angle(
 
     s is the measured yaw rate, u = xdot cos(theta) + ydot sin(theta), and theta = heading at the start.
     """
-    if not isinstance(gait, Gait):
-        raise TypeError(f"A snakeboard is driven by a Gait, not by {type(gait).__name__}.")
+    joints = as_gait(gait)
     heading = pose[:, 2]
-    phi = np.asarray(jax.vmap(lambda s: gait.phi.at(s).angle)(jnp.asarray(times)))
-    back_signal = gait.phi_back
+    phi = np.asarray(jax.vmap(lambda s: joints.phi.at(s).angle)(jnp.asarray(times)))
+    back_signal = joints.phi_back
     back = -phi if back_signal is None else np.asarray(jax.vmap(lambda s: back_signal.at(s).angle)(jnp.asarray(times)))
     D = (np.tan(phi) - np.tan(back)) / (2 * float(as_board(board).half_length))
     theta = np.empty_like(heading)
