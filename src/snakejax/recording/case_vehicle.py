@@ -60,10 +60,14 @@ def _read(table: Table, kind: type[AbstractVehicle]) -> VehicleTable:
     # A board's creep_speed is asked for, as ever.
     for key, field in fields.items():
         optional = field.default is not dataclasses.MISSING and not (kind is Board and field.name == "creep_speed")
-        if table.values.get(key) == ESTIMATE:
-            if not optional or not hasattr(kind, "unknown"):
+        if _to_estimate(table, key):
+            if not optional or "unknown" not in {f.name for f in dataclasses.fields(kind)}:  # type: ignore[arg-type]
                 raise table.error(key, "cannot be estimated", "write its value: a fit needs it")
             unknown.append(field.name)
+            if isinstance(table.values[key], dict):
+                first = table.table(key, f"{key} = {{estimate = 1.0}}")
+                first.require_known([ESTIMATE])
+                values[field.name] = first.number(ESTIMATE, field.metadata["domain"])
         elif key in table.values or not optional:
             values[field.name] = table.number(key, field.metadata["domain"])
     if unknown:
@@ -81,6 +85,12 @@ def _read(table: Table, kind: type[AbstractVehicle]) -> VehicleTable:
         if key in table.values
     }
     return VehicleTable(vehicle, sd)
+
+
+def _to_estimate(table: Table, key: str) -> bool:
+    """Whether a fit shall estimate a constant: `"estimate"`, or `{estimate = 1.0}` with a first guess."""
+    value = table.values.get(key)
+    return value == ESTIMATE or isinstance(value, dict)
 
 
 def _require_inertia(table: Table, board: Board) -> None:
