@@ -14,8 +14,11 @@ import pytest
 from snakejax.core.errors import InputError
 from snakejax.dynamics.signals import Logged, Sines, Tracked
 from snakejax.recording import case as _case
+from snakejax.recording import case_inputs
 from snakejax.recording.case import load_case
 from snakejax.recording.case_template import template, write_template
+from snakejax.recording.case_vehicle import fields_of, sd_keys_of
+from snakejax.vehicles.snakeboard.board import Board
 
 FRAMES = 101
 TOML = """\
@@ -300,21 +303,21 @@ def test_template_loads(tmp_path):
 
 def test_template_with_all_its_comments_loads(tmp_path):
     text = re.sub(r"^# (?=[a-z_0-9]+ = |\[(noise|accuracy|search)\]$)", "", template(), flags=re.MULTILINE)
-    assert set(tomllib.loads(text)["runs"][0]) == set(_case.RUN_KEYS)
+    assert set(tomllib.loads(text)["runs"][0]) == {*_case.RUN_KEYS, "phi", "psi", "phi_back"}
     write(tmp_path, text.replace("[0.5, 8.0]", "[0.5, 0.8]"))
     case = load_case(tmp_path)
     assert case.noise is not None and case.runs[0].payload[0] == 2.0 and isinstance(case.runs[0].gait.phi, Logged)
 
 
 def test_template_explains_every_key():
-    known = {*_case.CASE_KEYS, *_case.BOARD_KEYS, *_case.NOISE_KEYS, *_case.ACTUATOR_KEYS, *_case.RUN_KEYS}
+    known = {*_case.CASE_KEYS, *fields_of(Board), *_case.NOISE_KEYS, *case_inputs.GAINS, *_case.RUN_KEYS}
     known |= {
-        *_case.CONSTANT_SD_KEYS,
+        *sd_keys_of(Board),
         *_case.ACCURACY_KEYS,
         _case.CORRELATION,
-        *_case.JOINT_LOG_KEYS,
+        *case_inputs.LOG_KEYS,
         *_case.STARTS,
-        *_case.KINDS,
+        *case_inputs.KINDS,
         *_case.CASE_STRUCTURES,
     }
     assert all(key in template() for key in known)

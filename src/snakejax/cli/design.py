@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from snakejax.design.fisher_information import PriorInformation
     from snakejax.design.limits import Limits
     from snakejax.dynamics.ports import Effect
+    from snakejax.dynamics.vehicle import AbstractVehicle
     from snakejax.recording.run import Run
 
 
@@ -54,7 +55,7 @@ def work(options: argparse.Namespace, case: Any, request: GaitRequest, say: Prog
         what = "The next run is designed from the recorded runs of a case"
         raise InputError(what, WHERE, "name a recorded case, without --set and --from")
     require_strengths(effects or ())
-    effects_by_name, fixed, fit_options = candidates(options, effects)
+    effects_by_name, fixed, fit_options = candidates(options, effects, case.board)
     clock = Stopwatch()
     gaits, length = gaits_of(case)
     fit, noise = fitted(fit_options, case, say)
@@ -124,7 +125,7 @@ def _output(
 
 
 def candidates(
-    options: argparse.Namespace, effects: tuple[str, str] | None
+    options: argparse.Namespace, effects: tuple[str, str] | None, vehicle: "AbstractVehicle"
 ) -> "tuple[dict[str, Effect], set[str], argparse.Namespace]":
     """The effects to distinguish, the names of their fixed parameters, and the options of the fitted model.
 
@@ -150,7 +151,7 @@ def candidates(
             remedy = f"{instead_of(name, known)}; name your own with --effect FILE.py:Class too"
             raise InputError(f"There is no effect `{name}`", WHERE, remedy)
         spec = own.get(name, EffectSpec(name, None, {}))
-        effects_by_name[name] = built(name, effect_class(spec), spec.values)
+        effects_by_name[name] = built(name, effect_class(spec, vehicle), spec.values)
         if len(spec.values) == len(parameters(effects_by_name[name])) > 0:
             raise InputError(f"All parameters of `{name}` are fixed", "option --effect", "leave one without a value")
         held |= {f"effects.{name}.{part}" for part in spec.values}

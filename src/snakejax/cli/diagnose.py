@@ -6,7 +6,7 @@ from typing import Any
 
 from snakejax.core.progress import Phase, Progress, ProgressEvent
 
-from .explain import add_candidates, library, wanted
+from .explain import add_candidates, candidates_of, wanted
 from .options import add_cases, add_command, given
 from .pipeline import Outcome, Stopwatch, each_case
 
@@ -48,7 +48,7 @@ def work(options: argparse.Namespace, case: Any, say: Progress) -> Outcome:
     clock = Stopwatch()
     noise = noise_of(case)
     case = with_estimated_logs(starting_model(case, options.model, options.skid), case, noise, say)
-    base = diagnose(case, noise, library(options), **wanted(options), progress=say).base
+    base = diagnose(case, noise, candidates_of(options, case), **wanted(options), progress=say).base
     provenance = provenance_json(options.seed, given(options), case.sha256)
     result = {**diagnosis_json(case, noise, base, provenance, clock.seconds()), **joint_logs_json(case.runs)}
 

@@ -2,7 +2,7 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from snakejax.core.errors import InputError, instead_of
 from snakejax.core.progress import Phase, Progress, ProgressEvent
@@ -11,6 +11,9 @@ from snakejax.dynamics.kinds import CASE_STRUCTURES, TYRE_LAWS
 from .animation import add_films, films, require_films
 from .options import add_cases, add_command, effect_spec, given
 from .pipeline import Outcome, Stopwatch, each_case
+
+if TYPE_CHECKING:
+    from snakejax.recording.run import Case
 
 
 def add(commands: Any) -> None:
@@ -34,7 +37,7 @@ def add_candidates(command: argparse.ArgumentParser) -> None:
     """The options of base model and candidates, shared with `diagnose`."""
     command.add_argument("--model", choices=TYRE_LAWS, default="pacejka", help="tyre law of the base model")
     command.add_argument(
-        "--skid", choices=CASE_STRUCTURES, help="skid structure of the base model (default: that of CASE)"
+        "--skid", choices=(*CASE_STRUCTURES, "ideal"), help="skid structure of the base model (default: that of CASE)"
     )
     command.add_argument("--effect", metavar="FILE.py:Class", action="append", help="a candidate effect of your own")
     command.add_argument("--with", dest="with_", metavar="NAME", action="append", help="an effect of the base model")
@@ -47,20 +50,21 @@ def run(options: argparse.Namespace) -> int:
     return each_case(options, lambda case, say: work(options, case, say))
 
 
-def library(options: argparse.Namespace) -> dict[str, Any]:
-    """The candidate effects by name: built-in ones and those of `--effect`, less `--without`.
+def candidates_of(options: argparse.Namespace, case: "Case") -> dict[str, Any]:
+    """The candidate effects of the vehicle of `case` by name: built-in ones and those of `--effect`, less `--without`.
 
     **Raises:** `InputError` for an unknown name.
     """
     from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
-    from snakejax.effects import LIBRARY
+    from snakejax.effects import library
 
     from .model_options import effect_class
 
-    effects = {name: kind() for name, kind in LIBRARY.items()}
+    _require_structure(options, case)
+    effects = {name: kind() for name, kind in library(case.board).items()}
     for text in options.effect or ():
         spec = effect_spec(text)
-        effects[spec.name] = effect_class(spec)()
+        effects[spec.name] = effect_class(spec, case.board)()
     for option in ("with_", "without"):
         for name in getattr(options, option) or ():
             if name not in effects and name != LATERAL_SLIP_SWITCH:
@@ -69,6 +73,14 @@ def library(options: argparse.Namespace) -> dict[str, Any]:
                     f"There is no effect `{name}`", where, instead_of(name, [*effects, LATERAL_SLIP_SWITCH])
                 )
     return {name: effect for name, effect in effects.items() if name not in (options.without or ())}
+
+
+def _require_structure(options: argparse.Namespace, case: "Case") -> None:
+    from snakejax.recording.case import structures_of
+
+    if options.skid is not None and options.skid not in structures_of(case.board):
+        remedy = instead_of(options.skid, structures_of(case.board))
+        raise InputError(f"A {case.board.noun} has no structure `{options.skid}`", "option --skid", remedy)
 
 
 def wanted(options: argparse.Namespace) -> dict[str, Any]:
@@ -89,7 +101,7 @@ def plan(options: argparse.Namespace, case: Any) -> Outcome:
     from snakejax.diagnosis.plan import plan_of
     from snakejax.present.as_text.plan import plan_text
 
-    made = plan_of(case, library(options), **wanted(options))
+    made = plan_of(case, candidates_of(options, case), **wanted(options))
     return Outcome(made._asdict(), plan_text(made), lambda folder: None)
 
 
@@ -111,7 +123,7 @@ def work(options: argparse.Namespace, case: Any, say: Progress) -> Outcome:
 
     clock = Stopwatch()
     noise = noise_of(case)
-    explanation = explain(case, noise, library(options), **wanted(options), progress=say)
+    explanation = explain(case, noise, candidates_of(options, case), **wanted(options), progress=say)
     provenance = provenance_json(options.seed, given(options), case.sha256)
 
     result = {**explanation_json(explanation, provenance, clock.seconds()), **joint_logs_json(explanation.case.runs)}

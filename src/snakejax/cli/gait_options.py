@@ -62,9 +62,16 @@ def payload_json(payload: tuple[float, float]) -> dict[str, Any]:
 
 
 def gaits_of(subject: Any) -> "tuple[list[Gait], float]":
-    """The gaits of the runs from rest, and the duration of the first run [s]."""
+    """The gaits of the runs from rest, and the duration of the first run [s].
+
+    **Raises:** `InputError` for another vehicle than a snakeboard.
+    """
+    from snakejax.dynamics.inputs import Gait
     from snakejax.vehicles.snakeboard.paper_examples import Preset
 
     if isinstance(subject, Preset):
         return [subject.gait], subject.duration
+    if not isinstance(subject.runs[0].gait, Gait):
+        what = f"Gaits are those of a snakeboard, but the vehicle is a {subject.board.noun}"
+        raise InputError(what, "argument CASE", "`tune` and the design of runs take snakeboards only, so far")
     return [run_.gait for run_ in subject.runs if not run_.moving], float(subject.runs[0].times[-1])

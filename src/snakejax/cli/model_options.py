@@ -12,7 +12,7 @@ from snakejax.dynamics.model import Model
 from snakejax.dynamics.ports import Effect
 from snakejax.dynamics.tyres import AbstractTyre
 from snakejax.dynamics.vehicle import AbstractVehicle
-from snakejax.effects import LIBRARY
+from snakejax.effects import library
 from snakejax.estimation.initial_model import default_free, select_parameters, starting_tyre
 from snakejax.present.as_json.saved import SavedFit, saved_fit
 from snakejax.recording.run import Case
@@ -56,7 +56,7 @@ def requested_model(options: argparse.Namespace, subject: Case | Preset) -> Requ
         )
     specs = [spec for spec in specs if spec.name != LATERAL_SLIP_SWITCH]
     board, tyre, constraint = _base(options, subject, saved, bool(switched))
-    effects, held, given = _effects(specs, saved)
+    effects, held, given = _effects(specs, saved, board)
     try:
         model = Model(board, tyre, constraint, effects)
     except ValueError as error:
@@ -100,7 +100,9 @@ def _base(
     return board, starting_tyre(kind or "pacejka", board), constraint
 
 
-def _effects(specs: list[EffectSpec], saved: SavedFit | None) -> tuple[OrderedDict[str, Effect], set[str], set[str]]:
+def _effects(
+    specs: list[EffectSpec], saved: SavedFit | None, vehicle: AbstractVehicle
+) -> tuple[OrderedDict[str, Effect], set[str], set[str]]:
     """The effects by name, the names of their fixed parameters, and of all with a given value."""
     remembered = dict(saved.effects) if saved else {}
     named = {spec.name: spec for spec in specs}
@@ -110,10 +112,10 @@ def _effects(specs: list[EffectSpec], saved: SavedFit | None) -> tuple[OrderedDi
     held, given = set(), set()
     for name in [*remembered, *(n for n in named if n not in remembered)]:
         spec = named.get(name, EffectSpec(name, None, {}))
-        if name not in named and name not in LIBRARY:
+        if name not in named and name not in library(vehicle):
             what = f"The saved fit has the effect `{name}`, which is not built in"
             raise InputError(what, "option --from", "name its file with --effect FILE.py:Class")
-        kind = effect_class(spec)
+        kind = effect_class(spec, vehicle)
         values = {**remembered.get(name, {}), **spec.values}
         effects[name] = built(name, kind, {**kind.secant_step, **values})
         held |= {f"effects.{name}.{parameter}" for parameter in spec.values}
@@ -134,14 +136,15 @@ def built(name: str, kind: type[Effect], values: Mapping[str, float]) -> Effect:
         raise InputError(str(error).rstrip("."), "option --effect", "give a value inside its domain") from None
 
 
-def effect_class(spec: EffectSpec) -> type[Effect]:
+def effect_class(spec: EffectSpec, vehicle: AbstractVehicle) -> type[Effect]:
     """The class of an effect, built in or from a user's file. **Raises:** `InputError` where there is none."""
     if spec.source is None:
-        if spec.name not in LIBRARY:
-            known = [*LIBRARY, LATERAL_SLIP_SWITCH]
+        known_effects = library(vehicle)
+        if spec.name not in known_effects:
+            known = [*known_effects, LATERAL_SLIP_SWITCH]
             remedy = f"{instead_of(spec.name, known)}; write your own as FILE.py:Class"
             raise InputError(f"There is no effect `{spec.name}`", "option --effect", remedy)
-        return LIBRARY[spec.name]
+        return known_effects[spec.name]
     path, name = spec.source
     module = user_module(path, "option --effect", "my.py:Spring")
     found_class = getattr(module, name, None)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from snakejax.core.errors import InputError
-from snakejax.dynamics.kinds import MODEL_KINDS, TYRE_STRUCTURES
+from snakejax.dynamics.kinds import MODEL_KINDS, STRUCTURES
 
 USUAL_THRESHOLD = 3.0
 
@@ -60,7 +60,7 @@ def add_loading(command: Any) -> None:
 def add_model(command: Any) -> None:
     """The options of the model."""
     command.add_argument("--model", choices=MODEL_KINDS, help="tyre law (default: pacejka, or that of the preset)")
-    command.add_argument("--skid", choices=TYRE_STRUCTURES, help="skid structure (default: that of CASE)")
+    command.add_argument("--skid", choices=STRUCTURES, help="skid structure (default: that of CASE)")
     command.add_argument(
         "--set", metavar="B=6,C=1.4", action="append", help="values of parameters in SI units, kept fixed"
     )

@@ -111,6 +111,7 @@ def work(
     from snakejax.simulation.dask_executor import cluster
     from snakejax.simulation.parameter_sweep import grid, table
     from snakejax.simulation.rayleigh_match import polynomial
+    from snakejax.vehicles.snakeboard.board import Board
     from snakejax.vehicles.snakeboard.paper_examples import Preset
 
     clock = Stopwatch()
@@ -124,7 +125,7 @@ def work(
     if run_ is not None:
         # With a payload the yaw inertia is fixed; otherwise it follows from the varied mass and length.
         model = model.with_payload(run_.payload)
-    matched = not isinstance(model.tyre, Rayleigh) and model.constraint.slips
+    matched = isinstance(model.board, Board) and not isinstance(model.tyre, Rayleigh) and model.constraint.slips
     what = f"sweeping {' and '.join(axes.coordinates)}"
     how = {
         "folder": options.out and Path(options.out) / "pieces",

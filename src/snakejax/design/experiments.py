@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from snakejax.core.errors import FitError
 from snakejax.core.parameter import Scalar
 from snakejax.core.tabular import Tabular, listed
-from snakejax.dynamics.inputs import Gait
+from snakejax.dynamics.inputs import Gait, as_gait
 from snakejax.dynamics.model import Model
 from snakejax.recording.run import Run
 
@@ -276,9 +276,9 @@ def _advised(
     G, restricted_pair = given.restricted(pair)
     assert restricted_pair is not None
     board = given.model.board
-    extra = PAYLOAD * float(board.mass) * np.array([1.0, (float(board.half_length) / 2) ** 2])
+    extra = PAYLOAD * float(board.mass) * np.array([1.0, (float(board.length) / 2) ** 2])
     start = np.asarray(designed.start, float)
-    train = [run for run in runs if run.role == "train" and not run.moving and run.gait.phi_back is None]
+    train = [run for run in runs if run.role == "train" and not run.moving and as_gait(run.gait).phi_back is None]
 
     def boards(run: Run, gained: Any = 0.0) -> list[Model]:
         return given.boards(pair, given.model.with_payload(np.asarray(run.payload) + gained))

@@ -1,10 +1,16 @@
+from .axle_tyres import FrontRear as FrontRear
+from .axle_tyres import Linear as Linear
+from .axle_tyres import LoadedPacejka as LoadedPacejka
 from .constraints import AbstractConstraint as AbstractConstraint
 from .constraints import NonSlipping as NonSlipping
 from .constraints import Slipping as Slipping
 from .contact import Motion as Motion
 from .contact import Wheel as Wheel
 from .contact import slip_angle as slip_angle
+from .inputs import AbstractInputs as AbstractInputs
 from .inputs import Gait as Gait
+from .inputs import Input as Input
+from .inputs import Inputs as Inputs
 from .model import Model as Model
 from .observation import CHANNELS as CHANNELS
 from .observation import UNITS as UNITS
@@ -19,6 +25,8 @@ from .ports import RollingForce as RollingForce
 from .ports import Sensor as Sensor
 from .ports import TyreModifier as TyreModifier
 from .ports import TyreState as TyreState
+from .sampled_signals import Actuator as Actuator
+from .sampled_signals import Held as Held
 from .signals import AbstractSignal as AbstractSignal
 from .signals import Delayed as Delayed
 from .signals import Joint as Joint
@@ -31,4 +39,7 @@ from .tyres import Bakker as Bakker
 from .tyres import Pacejka as Pacejka
 from .tyres import Rayleigh as Rayleigh
 from .vehicle import AbstractVehicle as AbstractVehicle
+from .vehicle import Body as Body
+from .vehicle import Placement as Placement
+from .vehicle import Stroke as Stroke
 from .vehicle import Wheelset as Wheelset

@@ -1,17 +1,14 @@
 """Constraints of the wheels: state, velocities and equations of motion of a vehicle with slipping or fixed wheels.
 
-Each constraint defines a state, the velocities that follow from it, and Newton's law or its constrained counterpart.
-With two wheelsets at l_f > 0 and l_b < 0 ahead of the centre of mass [m], at the angles phi_f and phi_b [rad],
-
-    D = (tan phi_f - tan phi_b) / (l_f - l_b)      W = tan phi_f - l_f D
-
-so that without slip the lateral speed is w = W u and the yaw rate r = D u.
+Each constraint defines a state, the velocities that follow from it, and Newton's law or its constrained counterpart;
+the equations follow from the declaration of the vehicle, see `multibody`.
 """
 
 import abc
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -19,41 +16,17 @@ from jaxtyping import Float
 from snakejax.core.fast_math import sine_cosine
 from snakejax.core.parameter import Scalar
 
-from .contact import AppliedForces, Velocities, WheelAngles
-from .inputs import Gait
+from .contact import AppliedForces, Configuration, Velocities
+from .inputs import AbstractInputs
+from .multibody import Phase, Vector, accelerations, balance, held_velocities, phase_of, solved, wheel_velocities
+from .signals import Joint
 from .vehicle import AbstractVehicle
 
 State = tuple[Scalar, ...]
 
 
-ACROSS = 0.01
-"""Least cos(phi) of a wheelset without slip, at 0.6 degrees from 90: the no-slip equations are singular at 90."""
-
-
 LATERAL_SLIP_SWITCH = "lateral_skid"
 """Name in a diagnosis of the change from constrained wheels to independently slipping wheelsets."""
-
-
-class NoSlip(NamedTuple):
-    """W [-] and D [1/m] of a pair of wheelsets without slip, and their rates [1/s], [1/(m s)]."""
-
-    W: Scalar
-    D: Scalar
-    W_rate: Scalar
-    D_rate: Scalar
-
-    @staticmethod
-    def of(board: AbstractVehicle, steered: WheelAngles) -> "NoSlip":
-        """W and D from the wheel angles by the equations of the module; NaN if cos(phi) <= `ACROSS` for a wheelset."""
-        front, back = board.arm(board.wheelsets[0]), board.arm(board.wheelsets[1])
-        # At 90 degrees the wheelset allows only sideways motion, which tan(phi) u cannot express. A solver could step
-        # over the pole, so angles beyond it are excluded too.
-        cosines = [jnp.where(c > ACROSS, c, jnp.nan) for c in steered.cosines]
-        tangents = [s / c for s, c in zip(steered.sines, cosines, strict=True)]
-        rates = [j.rate / c**2 for j, c in zip(steered.joints, cosines, strict=True)]
-        D = (tangents[0] - tangents[1]) / (front - back)
-        D_rate = (rates[0] - rates[1]) / (front - back)
-        return NoSlip(tangents[0] - front * D, D, rates[0] - front * D_rate, D_rate)
 
 
 def body_velocities(pose: np.ndarray, rate: np.ndarray) -> np.ndarray:
@@ -69,7 +42,7 @@ class AbstractConstraint(eqx.Module):
 
     `slips`: whether wheels may slip sideways. `tyre_acts`: whether the tyre force changes the motion. `frees_wheels`:
     whether each wheelset slips independently, at any steering angle. `allows_offset`: whether the centre of mass may be
-    off the middle of the board.
+    off the middle of a snakeboard.
     """
 
     slips: ClassVar[bool] = True
@@ -81,12 +54,17 @@ class AbstractConstraint(eqx.Module):
     def from_rest(self, x: Scalar, y: Scalar, heading: Scalar) -> State:
         """The state at rest at (x [m], y [m], heading [rad])."""
 
+    def completed(self, state: State, board: AbstractVehicle) -> State:
+        """`state` at rest as `from_rest` gives it, with the further numbers that `board` needs."""
+        del board
+        return state
+
     @abc.abstractmethod
-    def in_motion(self, start: State, board: AbstractVehicle, steered: WheelAngles) -> State:
+    def in_motion(self, start: State, board: AbstractVehicle, steered: Configuration) -> State:
         """The state from six numbers: (x, y, heading, u, w, r), or (x, y, heading, u, beta, s) under `Coupled`."""
 
     @abc.abstractmethod
-    def twist(self, state: State, board: AbstractVehicle, steered: WheelAngles) -> Velocities:
+    def twist(self, state: State, board: AbstractVehicle, steered: Configuration) -> Velocities:
         """Position and velocities of the body and the wheelsets in this state."""
 
     @abc.abstractmethod
@@ -99,7 +77,7 @@ class AbstractConstraint(eqx.Module):
         pose: Float[np.ndarray, "n 3"],
         rate: Float[np.ndarray, "n 3"],
         board: AbstractVehicle,
-        gait: Gait,
+        gait: AbstractInputs,
     ) -> Float[np.ndarray, "n 6"]:
         """First guess of the six numbers of `in_motion` at `times` [s], from measured pose [m, m, rad] and its rate.
 
@@ -114,25 +92,24 @@ class AbstractConstraint(eqx.Module):
 
     @abc.abstractmethod
     def rates(
-        self, state: State, board: AbstractVehicle, steered: WheelAngles, twist: Velocities, loads: AppliedForces
+        self, state: State, board: AbstractVehicle, steered: Configuration, twist: Velocities, loads: AppliedForces
     ) -> State:
         """The time derivative of the state under the forces `loads`."""
 
+    def free_joints(self, state: State, board: AbstractVehicle) -> dict[str, Joint]:
+        """Angle and rate of the free joints by name; their acceleration is not known before the forces, and zero."""
+        del state, board
+        return {}
+
     def inapplicable_because(self, board: AbstractVehicle) -> str | None:
         """The reason why this constraint does not apply to `board`, or None if it applies."""
-        if len(board.wheelsets) != 2:
-            return f"{type(self).__name__} needs two wheelsets, but the board has {len(board.wheelsets)}."
-        return None
+        return None if board.wheelsets else "The vehicle has no wheels."
 
 
 class Slipping(AbstractConstraint):
-    """Every wheelset slips independently: Newton's law of a planar rigid body, without lateral constraint.
+    """Every wheel slips independently: Newton's law of planar bodies, without lateral constraint.
 
-    State (x, y, theta, u, w, r), wheelset i at l_i ahead of the centre of mass:
-
-        v_i = -u sin(phi_i) + (w + l_i r) cos(phi_i)     a_i = u cos(phi_i) + (w + l_i r) sin(phi_i)
-        X += F_i sin(phi_i) - T_i cos(phi_i)      Y -= F_i cos(phi_i) + T_i sin(phi_i)      N += l_i Y_i
-        m (udot - r w) = X      m (wdot + r u) = Y      I rdot + J_r psi'' = N
+    State (x, y, theta, u, w, r, rates of free joints, angles of free joints), with M V' = right as in `multibody`.
     """
 
     frees_wheels: ClassVar[bool] = True
@@ -141,98 +118,139 @@ class Slipping(AbstractConstraint):
         zero = jnp.zeros_like(x)
         return (x, y, heading, zero, zero, zero)
 
-    def in_motion(self, start: State, board: AbstractVehicle, steered: WheelAngles) -> State:
-        del board, steered
-        return start
+    def completed(self, state: State, board: AbstractVehicle) -> State:
+        return (*state, *(jnp.zeros_like(state[0]) for _ in range(2 * len(board.free_joints))))
+
+    def in_motion(self, start: State, board: AbstractVehicle, steered: Configuration) -> State:
+        del steered
+        return self.completed(start, board)
 
     def pose(self, state: State) -> tuple[Scalar, Scalar, Scalar]:
         return state[:3]  # type: ignore[return-value]
 
-    def twist(self, state: State, board: AbstractVehicle, steered: WheelAngles) -> Velocities:
-        x, y, theta, u, w, r = state
-        across = [w + board.arm(wheelset) * r for wheelset in board.wheelsets]
-        parts = list(zip(across, steered.sines, steered.cosines, strict=True))
-        lateral = tuple(-u * s + v * c for v, s, c in parts)
-        rolling = tuple(u * c + v * s for v, s, c in parts)
+    def free_joints(self, state: State, board: AbstractVehicle) -> dict[str, Joint]:
+        count = len(board.free_joints)
+        rates, angles = state[6 : 6 + count], state[6 + count :]
+        return {
+            name: Joint(angle, rate, jnp.zeros_like(angle))
+            for name, angle, rate in zip(board.free_joints, angles, rates, strict=True)
+        }
+
+    def twist(self, state: State, board: AbstractVehicle, steered: Configuration) -> Velocities:
+        x, y, theta, u, w, r = state[:6]
+        V = state[3 : 6 + len(board.free_joints)]
+        lateral, rolling = wheel_velocities(board, V, phase_of(board, steered)[0])
         return Velocities(x, y, theta, theta, u, w, r, lateral, rolling)
 
     def corrected(self, state: State, pose: State, rate: State) -> State:
-        del state
         x, y, heading = pose
         east, north, yaw_rate = rate
         u = east * jnp.cos(heading) + north * jnp.sin(heading)
         w = north * jnp.cos(heading) - east * jnp.sin(heading)
-        return (x, y, heading, u, w, yaw_rate)
+        return (x, y, heading, u, w, yaw_rate, *state[6:])
 
     def rates(
-        self, state: State, board: AbstractVehicle, steered: WheelAngles, twist: Velocities, loads: AppliedForces
+        self, state: State, board: AbstractVehicle, steered: Configuration, twist: Velocities, loads: AppliedForces
     ) -> State:
-        del state
-        u, w, r = twist.u, twist.w, twist.r
-        X, Y, N = loads.wrench
-        for wheelset, sine, cosine, F, T in zip(
-            board.wheelsets, steered.sines, steered.cosines, loads.traction, loads.resistance, strict=True
-        ):
-            across = -F * cosine - T * sine
-            X, Y, N = X + F * sine - T * cosine, Y + across, N + board.arm(wheelset) * across
+        V = state[3 : 6 + len(board.free_joints)]
         sine, cosine = sine_cosine(twist.theta)
-        return (
-            u * cosine - w * sine,
-            u * sine + w * cosine,
-            r,
-            X / board.mass + r * w,
-            Y / board.mass - r * u,
-            (N - board.rotor_inertia * loads.rotor) / board.total_inertia,
-        )
-
-    def inapplicable_because(self, board: AbstractVehicle) -> str | None:
-        return None if board.wheelsets else "The board has no wheelsets."
+        u, w, r = V[:3]
+        moved = accelerations(balance(board, V, steered, loads))
+        return (u * cosine - w * sine, u * sine + w * cosine, r, *moved, *V[3:])
 
 
 class NonSlipping(AbstractConstraint):
-    """No lateral slip: the constraints v_i = 0 hold exactly (paper eq. 3 without beta).
+    """No slip: every wheel's held velocity is zero (`Wheelset.holds`), so V = S s + c with s the `independent` ones.
 
-    State (x, y, theta, u) with w = W u, r = D u:
+    State (x, y, theta, s, angles of free joints), and with M and the right side of `multibody`
 
-        (m (1 + W^2) + I D^2) udot = -(m W Wdot + I D Ddot) u + X + W Y + D N - D J_r psi'' - sum_i T_i / cos(phi_i)
+        S^T M S s' = S^T (right - M (S' s + c'))
     """
 
     slips: ClassVar[bool] = False
     tyre_acts: ClassVar[bool] = False
 
     def from_rest(self, x: Scalar, y: Scalar, heading: Scalar) -> State:
-        return (x, y, heading, jnp.zeros_like(x))
+        return (x, y, heading)
 
-    def in_motion(self, start: State, board: AbstractVehicle, steered: WheelAngles) -> State:
-        del board, steered
-        return start[:4]
+    def completed(self, state: State, board: AbstractVehicle) -> State:
+        return (*state, *(jnp.zeros_like(state[0]) for _ in (*board.independent, *board.free_joints)))
+
+    def in_motion(self, start: State, board: AbstractVehicle, steered: Configuration) -> State:
+        del steered
+        known: dict[str, Scalar] = dict(zip(("u", "w", "r"), start[3:], strict=True))
+        zero = jnp.zeros_like(start[0])
+        free = (known.get(name, zero) for name in board.independent)
+        return (*start[:3], *free, *(zero for _ in board.free_joints))
 
     def pose(self, state: State) -> tuple[Scalar, Scalar, Scalar]:
         return state[:3]  # type: ignore[return-value]
 
-    def twist(self, state: State, board: AbstractVehicle, steered: WheelAngles) -> Velocities:
-        x, y, theta, u = state
-        no_slip = NoSlip.of(board, steered)
-        rolling = tuple(u / c for c in steered.cosines)
-        return Velocities(
-            x, y, theta, theta, u, no_slip.W * u, no_slip.D * u, tuple(jnp.zeros_like(u) for _ in rolling), rolling
-        )
+    def free_joints(self, state: State, board: AbstractVehicle) -> dict[str, Joint]:
+        angles = state[3 + len(board.independent) :]
+        independent: dict[str, Scalar] = dict(zip(board.independent, state[3:], strict=False))
+        zero = jnp.zeros_like(state[0])
+        return {
+            name: Joint(angle, independent.get(name, zero), zero)
+            for name, angle in zip(board.free_joints, angles, strict=True)
+        }
+
+    def velocities(self, board: AbstractVehicle, free: Vector, phase: Phase, like: Scalar) -> Vector:
+        """All velocities (u, w, r, rates of free joints) where the independent ones are `free`."""
+        return held_velocities(board, free, phase, like)
+
+    def twist(self, state: State, board: AbstractVehicle, steered: Configuration) -> Velocities:
+        x, y, theta = state[:3]
+        phase, _ = phase_of(board, steered)
+        V = self.velocities(board, self._free(state, board), phase, x)
+        lateral, rolling = wheel_velocities(board, V, phase)
+        return Velocities(x, y, theta, theta, V[0], V[1], V[2], lateral, rolling)
 
     def corrected(self, state: State, pose: State, rate: State) -> State:
-        del state
-        x, y, heading = pose
-        return (x, y, heading, rate[0] * jnp.cos(heading) + rate[1] * jnp.sin(heading))
+        del rate
+        return (*pose, *state[3:])
 
     def rates(
-        self, state: State, board: AbstractVehicle, steered: WheelAngles, twist: Velocities, loads: AppliedForces
+        self, state: State, board: AbstractVehicle, steered: Configuration, twist: Velocities, loads: AppliedForces
     ) -> State:
-        del state
-        u, w = twist.u, twist.w
-        W, D, W_rate, D_rate = NoSlip.of(board, steered)
-        X, Y, N = loads.wrench
-        drag = sum(T / c for c, T in zip(steered.cosines, loads.resistance, strict=True))
-        m, I = board.mass, board.total_inertia  # noqa: E741
-        push = X + W * Y + D * N - D * board.rotor_inertia * loads.rotor - drag
-        u_rate = (push - (m * W * W_rate + I * D * D_rate) * u) / (m * (1 + W**2) + I * D**2)
+        phase, change = phase_of(board, steered)
+        s = self._free(state, board)
+
+        def velocities(s: Vector, phase: Phase) -> Vector:
+            return self.velocities(board, s, phase, twist.x)
+
+        V = velocities(s, phase)
+        zeros = tuple(jnp.zeros_like(part) for part in s)
+        drift = jax.jvp(velocities, (s, phase), (zeros, change))[1]
+        columns = [jax.jvp(velocities, (s, phase), (e, _still(phase)))[1] for e in _unit(s)]
+        balanced = balance(board, V, steered, loads)
+        pushed = [
+            right - sum((m * a for m, a in zip(row, drift, strict=True)), jnp.zeros(()))
+            for row, right in zip(balanced.mass, balanced.right, strict=True)
+        ]
+        projected = [[_product(i, balanced.mass, j) for j in columns] for i in columns]
+        work = [[sum((a * q for a, q in zip(i, pushed, strict=True)), jnp.zeros(()))] for i in columns]
+        moved = solved(projected, work)[0] if s else ()
         sine, cosine = sine_cosine(twist.theta)
-        return (u * cosine - w * sine, u * sine + w * cosine, D * u, u_rate)
+        u, w, r = V[:3]
+        return (u * cosine - w * sine, u * sine + w * cosine, r, *moved, *V[3:])
+
+    @staticmethod
+    def _free(state: State, board: AbstractVehicle) -> Vector:
+        return state[3 : 3 + len(board.independent)]
+
+
+def _product(left: Vector, matrix: tuple[Vector, ...], right: Vector) -> Scalar:
+    rows = [sum((m * b for m, b in zip(row, right, strict=True)), jnp.zeros(())) for row in matrix]
+    return sum((a * row for a, row in zip(left, rows, strict=True)), jnp.zeros(()))
+
+
+def _unit(s: Vector) -> list[Vector]:
+    return [
+        tuple(jnp.ones_like(part) if j == k else jnp.zeros_like(part) for j, part in enumerate(s))
+        for k in range(len(s))
+    ]
+
+
+def _still(phase: Phase) -> Phase:
+    return jax.tree.map(jnp.zeros_like, phase)

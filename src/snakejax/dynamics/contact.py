@@ -22,6 +22,19 @@ def slip_angle(lateral: Scalar, rolling: Scalar, creep: Scalar) -> Scalar:
     return 2 * arctan(lateral / (jnp.sqrt(square) + jnp.sqrt(square + lateral**2)))
 
 
+def combined_slip(lateral: Scalar, sliding: Scalar, rim: Scalar, creep: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    """Slip of a wheel whose rim is driven: (slip angle [rad], share of the force across, share along the wheel).
+
+    The slip is the speed of the contact over the ground against that of the rim, and the force opposes it: the
+    similarity method for equal stiffness along and across (Pacejka 2012, section 4.3.1, theoretical slip).
+
+    **Arguments:** `lateral`: slip speed across [m/s]; `sliding`: along, rolling speed less that of the rim [m/s]; `rim`
+    [m/s]; `creep`: eps > 0 [m/s].
+    """
+    speed = jnp.sqrt(lateral**2 + sliding**2 + 1e-12)
+    return slip_angle(speed, rim, creep), lateral / speed, sliding / speed
+
+
 class Wheel(NamedTuple):
     """A wheelset at one instant: its steering angle, with sine and cosine, and its velocities over the ground."""
 
@@ -39,7 +52,8 @@ class Motion(NamedTuple):
     """The vehicle at one instant.
 
     `time` [s]; `x`, `y` [m]; `theta` [rad]: angle of the frame of the wrench and of (u, w); `heading` [rad]; `u`, `w`
-    [m/s]: forward and lateral velocity; `r` [rad/s]: yaw rate; `steering`, `rotor`: joints; `wheels`; `board`.
+    [m/s]: forward and lateral velocity; `r` [rad/s]: yaw rate; `inputs`: inputs and free joints by name; `wheels`;
+    `board`: the vehicle; `drive` [N]: the driving force along each wheel, None where nothing drives by a torque.
     """
 
     time: Scalar
@@ -50,10 +64,20 @@ class Motion(NamedTuple):
     u: Scalar
     w: Scalar
     r: Scalar
-    steering: Joint
-    rotor: Joint
+    inputs: dict[str, Joint]
     wheels: tuple[Wheel, ...]
     board: AbstractVehicle
+    drive: tuple[Scalar, ...] | None = None
+
+    @property
+    def steering(self) -> Joint:
+        """The steering joint `phi` of a snakeboard."""
+        return self.inputs["phi"]
+
+    @property
+    def rotor(self) -> Joint:
+        """The rotor joint `psi` of a snakeboard."""
+        return self.inputs["psi"]
 
     def into_body(self, east: Scalar, north: Scalar) -> tuple[Scalar, Scalar]:
         """Components along and across the body of a force (east, north) [N] in the world frame."""
@@ -64,19 +88,20 @@ class Motion(NamedTuple):
 Wrench = tuple[Scalar, Scalar, Scalar]
 
 
-class WheelAngles(NamedTuple):
-    """Angles of all wheelsets at one instant, with their sines and cosines."""
+class Configuration(NamedTuple):
+    """Joints at one instant: the angle of every wheel against its body with sine and cosine, and `inputs` by name."""
 
     joints: tuple[Joint, ...]
     sines: tuple[Scalar, ...]
     cosines: tuple[Scalar, ...]
+    inputs: dict[str, Joint]
 
     @staticmethod
-    def of(joints: tuple[Joint, ...]) -> "WheelAngles":
+    def of(joints: tuple[Joint, ...], inputs: dict[str, Joint]) -> "Configuration":
         """Evaluate sine and cosine once for each wheelset."""
         pairs = [sine_cosine(joint.angle) for joint in joints]
         sines, cosines = tuple(s for s, _ in pairs), tuple(c for _, c in pairs)
-        return WheelAngles(joints, sines, cosines)
+        return Configuration(joints, sines, cosines, inputs)
 
 
 class Velocities(NamedTuple):
@@ -95,11 +120,10 @@ class Velocities(NamedTuple):
 
 
 class AppliedForces(NamedTuple):
-    """Forces on the vehicle: lateral force and rolling resistance [N] of each wheelset, further wrench [N, N, N m], and
-    rotor acceleration [rad/s^2]."""
+    """Forces on the vehicle: lateral force and resistance to rolling, less what drives, [N] of each wheelset; further
+    wrench [N, N, N m]."""
 
     wheels: tuple[Wheel, ...]
     traction: tuple[Scalar, ...]
     resistance: tuple[Scalar, ...]
     wrench: Wrench
-    rotor: Scalar

@@ -11,8 +11,8 @@ import numpy as np
 from snakejax.core.parameter import Scalar
 
 from .constraints import AbstractConstraint
-from .contact import AppliedForces, Motion, Wheel, WheelAngles, slip_angle
-from .inputs import Gait
+from .contact import AppliedForces, Configuration, Motion, Velocities, Wheel, combined_slip, slip_angle
+from .inputs import AbstractInputs, Commanded
 from .ports import (
     Delay,
     Effect,
@@ -26,7 +26,6 @@ from .ports import (
     TyreModifier,
     TyreState,
 )
-from .signals import Joint
 from .tyres import AbstractTyre, Pacejka
 from .vehicle import AbstractVehicle
 
@@ -112,11 +111,18 @@ class Model(eqx.Module):
             board = effect.board(board)
         return board
 
-    def commanded(self, gait: Gait) -> Gait:
+    def commanded(self, gait: AbstractInputs) -> AbstractInputs:
         """The gait after all `InputModifier` effects."""
+        if isinstance(gait, Commanded):
+            return gait
         for effect in self.effects_of(InputModifier):
             gait = effect.gait(gait)
         return gait
+
+    def prepared(self, gait: AbstractInputs) -> AbstractInputs:
+        """`gait`, with the effects on it made once and for all where one of them is costly (`InputModifier.once`)."""
+        costly = any(effect.once for effect in self.effects_of(InputModifier))
+        return Commanded(self.commanded(gait)) if costly and not isinstance(gait, Commanded) else gait
 
     def delay(self) -> Scalar:
         """The delay [s] of the reported pose behind the clock of the commands."""
@@ -126,16 +132,18 @@ class Model(eqx.Module):
         """The state at rest at (x [m], y [m], heading [rad]); memories are zero."""
         zero = jnp.zeros_like(pose[0])
         lags = tuple(tuple(zero for _ in self.board.wheelsets) for _ in self.effects_of(TyreState))
-        return self.constraint.from_rest(*pose), lags
+        return self.constraint.completed(self.constraint.from_rest(*pose), self.board), lags
 
-    def initial_state(self, start: tuple[Scalar, ...], t: Scalar, gait: Gait) -> State:
+    def initial_state(self, start: tuple[Scalar, ...], t: Scalar, gait: AbstractInputs) -> State:
         """The state in motion at time `t` [s]; the first six numbers of `start` are those of
         `AbstractConstraint.in_motion`.
 
         Further numbers, if any, are the deviations [rad] of the memories from the slip angles, effect by effect and
         wheelset by wheelset.
         """
-        board, _, _, steered = self._steered(t, gait)
+        board = self.effective_vehicle()
+        at_zero = self.constraint.completed(self.constraint.from_rest(*start[:3]), board)
+        steered = self._configuration(t, at_zero, gait, board)
         body = self.constraint.in_motion(start[:6], board, steered)
         motion = self.motion(t, body, gait)
         slips = [slip_angle(wheel.lateral, wheel.rolling, self.board.creep_speed) for wheel in motion.wheels]
@@ -151,71 +159,83 @@ class Model(eqx.Module):
         """The number of states added by `TyreState` effects."""
         return len(self.effects_of(TyreState)) * len(self.board.wheelsets)
 
-    def motion(self, t: Scalar, body: tuple[Scalar, ...], gait: Gait) -> Motion:
+    def motion(self, t: Scalar, body: tuple[Scalar, ...], gait: AbstractInputs) -> Motion:
         """The motion at time `t` [s], as the effects receive it."""
         return self._motion(t, body, gait)[0]
 
-    def _motion(self, t: Scalar, body: tuple[Scalar, ...], gait: Gait) -> tuple[Motion, WheelAngles, Any]:
-        board, front, rotor, steered = self._steered(t, gait)
+    def _motion(
+        self, t: Scalar, body: tuple[Scalar, ...], gait: AbstractInputs
+    ) -> tuple[Motion, Configuration, Velocities]:
+        board = self.effective_vehicle()
+        steered = self._configuration(t, body, gait, board)
         twist = self.constraint.twist(body, board, steered)
-        wheels = tuple(
-            Wheel(*parts) for parts in zip(board.wheelsets, *steered, twist.lateral, twist.rolling, strict=True)
-        )
+        parts = (board.wheelsets, steered.joints, steered.sines, steered.cosines, twist.lateral, twist.rolling)
+        wheels = tuple(Wheel(*of_wheel) for of_wheel in zip(*parts, strict=True))
         place = (twist.x, twist.y, twist.theta, twist.heading, twist.u, twist.w, twist.r)
-        return Motion(t, *place, front, rotor, wheels, board), steered, twist
+        motion = Motion(t, *place, steered.inputs, wheels, board)
+        return motion._replace(drive=board.drive(motion)), steered, twist
 
-    def _steered(self, t: Scalar, gait: Gait) -> tuple[AbstractVehicle, Joint, Joint, WheelAngles]:
-        """The effective board, the steering and rotor joints, and the wheel angles."""
-        board, gait = self.effective_vehicle(), self.commanded(gait)
-        front, rotor = gait.phi.at(t), gait.psi.at(t)
-        back = None if gait.phi_back is None else gait.phi_back.at(t)
+    def _configuration(
+        self, t: Scalar, body: tuple[Scalar, ...], gait: AbstractInputs, board: AbstractVehicle
+    ) -> Configuration:
+        """The joints at time `t` [s] after all effects: inputs, free joints and the angles of the wheels."""
+        inputs = self.commanded(gait).at(t) | self.constraint.free_joints(body, board)
         joints = []
         for wheelset in board.wheelsets:
-            if back is not None and wheelset.steering < 0:
-                joint = back
-            else:
-                joint = Joint(*(wheelset.steering * part for part in front))
+            joint = board.steering(wheelset, inputs)
             for effect in self.effects_of(Linkage):
                 joint = effect.steer(joint, wheelset)
             joints.append(joint)
-        return board, front, rotor, WheelAngles.of(tuple(joints))
+        return Configuration.of(tuple(joints), inputs)
 
-    def rates(self, t: Scalar, state: State, gait: Gait) -> State:
+    def rates(self, t: Scalar, state: State, gait: AbstractInputs) -> State:
         """Time derivative of `state` at time `t` [s]."""
         body, memories = state
         motion, steered, twist = self._motion(t, body, gait)
-        traction, memory_rates = self._traction(motion, memories)
+        traction, memory_rates, driven = self._traction(motion, memories)
         resistance = tuple(
             sum((effect.resistance(wheel, motion) for effect in self.effects_of(RollingForce)), jnp.zeros_like(t))
             for wheel in motion.wheels
         )
+        for force in (motion.drive, driven):
+            if force is not None:
+                resistance = tuple(T - D for T, D in zip(resistance, force, strict=True))
         wrench = (jnp.zeros_like(t),) * 3
         for effect in self.effects_of(Force):
             wrench = tuple(a + b for a, b in zip(wrench, effect.wrench(motion), strict=True))
-        loads = AppliedForces(motion.wheels, traction, resistance, wrench, motion.rotor.acceleration)
+        loads = AppliedForces(motion.wheels, traction, resistance, wrench)
         return self.constraint.rates(body, motion.board, steered, twist, loads), memory_rates
 
     def traction(self, motion: Motion, memories: tuple[tuple[Scalar, ...], ...]) -> tuple[Scalar, ...]:
         """The lateral force F_i [N] of each wheelset, positive against its slip."""
         return self._traction(motion, memories)[0]
 
-    def _traction(self, motion: Motion, memories: Any) -> tuple[tuple[Scalar, ...], Any]:
-        tyre = self.tyre
-        for effect in self.effects_of(TyreModifier):
-            tyre = effect.tyre(tyre, motion)
-        forces, rates = [], []
+    def _traction(self, motion: Motion, memories: Any) -> tuple[tuple[Scalar, ...], Any, tuple[Scalar, ...] | None]:
+        """Lateral forces, rates of the memories, and the force along each wheel that its driven rim adds."""
+        forces, rates, driven = [], [], []
         for i, wheel in enumerate(motion.wheels):
-            slip = slip_angle(wheel.lateral, wheel.rolling, motion.board.creep_speed)
+            wheelset, creep = wheel.wheelset, motion.board.creep_speed
+            tyre = self.tyre.of_axle(wheelset.axle).under(motion.board.load(wheelset))
+            for effect in self.effects_of(TyreModifier):
+                tyre = effect.tyre(tyre, motion)
+            slip, speed, across, along = slip_angle(wheel.lateral, wheel.rolling, creep), wheel.lateral, None, None
+            if (driven_rim := motion.board.rim(wheelset, motion.inputs)) is not None:
+                rim = driven_rim.angle
+                slip, across, along = combined_slip(wheel.lateral, wheel.rolling - rim, rim, creep)
+                speed = jnp.sqrt(wheel.lateral**2 + (wheel.rolling - rim) ** 2 + 1e-12)
             wheel_rates = []
             for effect, memory in zip(self.effects_of(TyreState), memories, strict=True):
                 wheel_rates.append(effect.rate(memory[i], slip, wheel))
                 slip = effect.slip(memory[i], slip)
-            force = tyre.force(slip, wheel.lateral)
+            force = tyre.force(slip, speed)
+            driven.append(jnp.zeros_like(force) if along is None else -force * along)
+            force = force if across is None else force * across
             for effect in self.effects_of(LateralForce):
                 force = effect.lateral(force, wheel, motion)
             forces.append(force)
             rates.append(wheel_rates)
-        return tuple(forces), tuple(zip(*rates, strict=True))
+        any_driven = any(wheel.wheelset.drive for wheel in motion.wheels)
+        return tuple(forces), tuple(zip(*rates, strict=True)), tuple(driven) if any_driven else None
 
     def observe(self, body: tuple[Scalar, ...]) -> tuple[Scalar, Scalar, Scalar]:
         """(x [m], y [m], heading [rad]) as motion capture reports them, after all `Sensor` effects."""

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from snakejax.core.parameter import Parametrised, Scalar
 
-from .inputs import Gait
+from .inputs import AbstractInputs
 from .signals import Joint
 from .tyres import AbstractTyre
 from .vehicle import AbstractVehicle, Wheelset
@@ -98,8 +98,12 @@ class TyreState(Effect):
 class InputModifier(Effect):
     """Changes the commands of the joints."""
 
+    stage: ClassVar[int] = 0
+    once: ClassVar[bool] = False
+    """Whether the change is costly, so that a simulation makes it once and not at every instant."""
+
     @abc.abstractmethod
-    def gait(self, gait: Gait) -> Gait:
+    def gait(self, gait: AbstractInputs) -> AbstractInputs:
         """The gait that the joints receive."""
 
 

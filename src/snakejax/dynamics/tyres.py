@@ -23,6 +23,16 @@ class AbstractTyre(Parametrised):
     def scaled(self, grip: Scalar) -> "AbstractTyre":
         """The same tyre with the friction of the ground multiplied by `grip`: scales D (or k_s), not B."""
 
+    def of_axle(self, axle: str) -> "AbstractTyre":
+        """The tyre of the wheels on `axle`: by default the same on all."""
+        del axle
+        return self
+
+    def under(self, load: Scalar) -> "AbstractTyre":
+        """The tyre under a vertical `load` [N]: by default its force does not depend on it."""
+        del load
+        return self
+
 
 class Pacejka(AbstractTyre):
     """The magic formula (paper eq. 5; Bakker, Nyborg, Pacejka 1987), angles in radians.

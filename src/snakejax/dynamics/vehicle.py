@@ -1,53 +1,187 @@
-"""Vehicle: masses, inertias and positions of the wheelsets, as used by the equations of motion."""
+"""Declaration of a vehicle: bodies, wheels, joints, inputs; the equations of motion follow from it."""
 
 import abc
-from typing import TYPE_CHECKING, ClassVar, Self
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, Self
 
 import equinox as eqx
+import jax.numpy as jnp
 
 from snakejax.core.parameter import Parametrised, Scalar
 
+from .constants import GRAVITY
+from .inputs import AbstractInputs, Input, Inputs
+from .signals import AbstractSignal, Joint
+
 if TYPE_CHECKING:
     from .constraints import AbstractConstraint
+    from .contact import Motion
+
+Number = Scalar | float
+Angles = Mapping[str, Scalar]
+"""Angles [rad] of joints by name."""
+Joints = Mapping[str, Joint]
+"""Joints and inputs by name, with rate and acceleration."""
 
 
 class Wheelset(eqx.Module):
-    """Position of a wheelset on the body axis, in half lengths ahead of the middle, and factor of its steering angle.
+    """One wheel, or two on one axle: its place along the body, and how it is steered, driven and held.
 
+    `place`: ahead (above 0) or behind, for the snakeboard in half lengths from the middle; `steering`: factor of the
+    angle of the input `steer`; `name` and `axle`: words for it and for the tyre it shares; `drive`: the input of kind
+    "speed" that is the speed of its rim; `holds`: what a wheel without slip holds, "lateral", "both" or "rolling".
     The front wheelset of the snakeboard is `Wheelset(1, 1)`, its back wheelset `Wheelset(-1, -1)`: phi_back = -phi.
     """
 
     place: float
-    steering: float
+    steering: float = 0.0
+    name: str = eqx.field(static=True, default="")
+    axle: str = eqx.field(static=True, default="")
+    steer: str = eqx.field(static=True, default="")
+    drive: str = eqx.field(static=True, default="")
+    holds: str = eqx.field(static=True, default="lateral")
+
+
+class Body(NamedTuple):
+    """A rigid body: `mass` [kg], yaw `inertia` about its own centre of mass [kg m^2], and its place in the base frame:
+    `x` ahead, `y` to the left [m], turned by `angle` [rad] against the base."""
+
+    mass: Number
+    inertia: Number
+    x: Number = 0.0
+    y: Number = 0.0
+    angle: Number = 0.0
+
+
+class Placement(NamedTuple):
+    """Where a wheel touches the ground in the base frame, `x` ahead, `y` to the left [m], and the angle [rad] of the
+    body that carries it; its steering angle comes on top."""
+
+    x: Number
+    y: Number = 0.0
+    angle: Number = 0.0
+
+
+class Stroke(NamedTuple):
+    """A line of the picture of a vehicle: `points` (x, y) [m] in the frame of `part`, the base or an input's joint."""
+
+    points: tuple[tuple[float, float], ...]
+    part: str = "base"
 
 
 class AbstractVehicle(Parametrised):
-    """A planar vehicle: one rigid body on steered wheelsets, with a rotor.
+    """A planar vehicle on wheels: rigid bodies, joints, wheels and inputs.
 
-    `mass` [kg]; `rotor_inertia`, `wheelset_inertia` [kg m^2]; `half_length` [m]; `creep_speed` [m/s]: regularises the
-    slip angle at rest; `offset` [m] of the centre of mass; `structures`: possible constraints of its wheels, by name;
-    `relaxed`: maps a structure that constrains the wheels to the one with independently slipping wheelsets.
+    `mass` [kg]; `creep_speed` [m/s]: regularises the slip angle at rest; `wheelsets`; `inputs`; `free_joints`: joints
+    that no input prescribes, integrated with the motion; `independent`: the velocities u, w, r and rates of free joints
+    that remain free where no wheel slips; `structures`: possible constraints of its wheels, by name; `relaxed`: maps a
+    structure that constrains the wheels to the one whose wheels slip; `noun`: the word for it in messages.
     """
 
-    mass: eqx.AbstractVar[Scalar]
-    rotor_inertia: eqx.AbstractVar[Scalar]
-    wheelset_inertia: eqx.AbstractVar[Scalar]
-    half_length: eqx.AbstractVar[Scalar]
-    creep_speed: eqx.AbstractVar[Scalar]
-    offset: eqx.AbstractVar[Scalar]
-    wheelsets: eqx.AbstractVar[tuple[Wheelset, ...]]
+    noun: ClassVar[str] = "vehicle"
+    inputs: ClassVar[tuple[Input, ...]] = ()
+    free_joints: ClassVar[tuple[str, ...]] = ()
+    independent: ClassVar[tuple[str, ...]] = ("u",)
     structures: ClassVar[dict[str, type["AbstractConstraint"]]]
     relaxed: ClassVar[dict[str, str]] = {}
+    friction: ClassVar[float] = 0.2
+    """Coefficient of friction with which a fit of its tyres starts."""
+    gain_of: ClassVar[dict[str, str]] = {}
+    """The constant that multiplies an input, by the name of the input."""
+    acts_under: ClassVar[dict[str, str]] = {}
+    """Constants that act under one structure alone, with its name."""
+    stated_sd: ClassVar[dict[str, float]] = {"mass": 0.03, "inertia": 0.07}
+    """Relative standard deviations of its constants where case.toml states none."""
+
+    mass: eqx.AbstractVar[Scalar]
+    creep_speed: eqx.AbstractVar[Scalar]
+    wheelsets: eqx.AbstractVar[tuple[Wheelset, ...]]
+
+    @property
+    def estimated(self) -> tuple[str, ...]:
+        """The names of its constants that are not known and that a fit estimates by default."""
+        return ()
+
+    @abc.abstractmethod
+    def bodies(self, angles: Angles) -> tuple[Body, ...]:
+        """The bodies at the joint `angles` [rad]; the base frame is that of the measured pose."""
+
+    @abc.abstractmethod
+    def placement(self, wheelset: Wheelset, angles: Angles) -> Placement:
+        """Where `wheelset` touches the ground at the joint `angles` [rad]."""
 
     @property
     @abc.abstractmethod
     def total_inertia(self) -> Scalar:
-        """Yaw inertia of the whole vehicle about its centre of mass [kg m^2]."""
+        """Yaw inertia of the whole vehicle about its centre of mass [kg m^2], joints at zero."""
 
+    @property
     @abc.abstractmethod
-    def arm(self, wheelset: Wheelset) -> Scalar:
-        """Distance [m] of a wheelset ahead of the centre of mass."""
+    def length(self) -> Scalar:
+        """A length [m] to scale pictures and weak priors: half of that between its outermost wheels."""
 
     @abc.abstractmethod
     def with_payload(self, mass: Scalar, inertia: Scalar) -> Self:
         """The vehicle with a payload of `mass` [kg] and yaw inertia `inertia` [kg m^2] at its centre of mass."""
+
+    def steering(self, wheelset: Wheelset, joints: Joints) -> Joint:
+        """Steering angle of `wheelset` against the body that carries it: `Wheelset.steering` times its input."""
+        if not wheelset.steer:
+            zero = jnp.zeros_like(next(iter(joints.values())).angle) if joints else jnp.zeros(())
+            return Joint(zero, zero, zero)
+        return Joint(*(wheelset.steering * part for part in joints[wheelset.steer]))
+
+    def load(self, wheelset: Wheelset) -> Scalar:
+        """Vertical load [N] on `wheelset` at rest; by default the weight shared evenly."""
+        del wheelset
+        return self.mass * GRAVITY / len(self.wheelsets)
+
+    def rim(self, wheelset: Wheelset, joints: Joints) -> Joint | None:
+        """Speed of the rim of `wheelset` [m/s], with its rate; None where it rolls freely."""
+        return joints[wheelset.drive] if wheelset.drive else None
+
+    def drive(self, motion: "Motion") -> tuple[Scalar, ...] | None:
+        """Driving force [N] along each wheel, None where nothing drives by a torque."""
+        del motion
+        return None
+
+    def joint_torques(self, joints: Joints) -> dict[str, Scalar]:
+        """Torque [N m] on each free joint beside those of the wheels: springs, dampers, motors."""
+        del joints
+        return {}
+
+    def inputs_of(self, signals: Mapping[str, AbstractSignal]) -> AbstractInputs:
+        """The inputs of a run from the signals by name."""
+        return Inputs((given.name, signals[given.name]) for given in self.inputs)
+
+    def actuator_torques(self, joints: Joints, yaw_acceleration: Scalar) -> tuple[Scalar, ...]:
+        """Torques [N m] of the prescribed joints at a yaw acceleration [rad/s^2] of the base.
+
+        **Raises:** `NotImplementedError` for a vehicle that does not say.
+        """
+        raise NotImplementedError(f"The torques of the joints of a {self.noun} are not known.")
+
+    def with_centre_moved(self, ahead: Scalar) -> Self:
+        """The vehicle with its centre of mass, the measured point, `ahead` [m] of where it was between the wheels.
+
+        **Raises:** `NotImplementedError` for a vehicle that does not say.
+        """
+        raise NotImplementedError(f"The centre of mass of a {self.noun} cannot be moved.")
+
+    def variables(self, joints: Joints) -> dict[str, Scalar]:
+        """What a force may depend on beside motion and time: angle and rate of joints, the value of other inputs."""
+        named: dict[str, Scalar] = {}
+        for given in self.inputs:
+            joint = joints.get(given.name)
+            if joint is None or given.follows is not None:
+                continue
+            if given.kind == "angle":
+                named |= {f"{given.label}_angle": joint.angle, f"{given.label}_rate": joint.rate}
+            else:
+                named[given.label] = joint.angle
+        return named
+
+    def outline(self) -> tuple[Stroke, ...]:
+        """The picture of the vehicle: by default a bar as long as it is."""
+        half = float(self.length)
+        return (Stroke(((-half, 0.0), (half, 0.0))),)

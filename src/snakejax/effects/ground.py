@@ -2,7 +2,6 @@
 
 from typing import TYPE_CHECKING
 
-import equinox as eqx
 import jax.numpy as jnp
 
 from snakejax.core.parameter import Scalar, param
@@ -46,9 +45,11 @@ class ComOffset(Geometry):
     a: Scalar = param("m", default=0.0)
 
     def board(self, board: AbstractVehicle) -> AbstractVehicle:
-        return eqx.tree_at(lambda b: b.offset, board, board.offset + self.a)
+        return board.with_centre_moved(self.a)
 
     def inapplicable_because(self, model: "Model") -> str | None:
+        if type(model.board).with_centre_moved is AbstractVehicle.with_centre_moved:
+            return f"the centre of mass of a {model.board.noun} cannot be moved."
         if not model.constraint.allows_offset:
             return "the coupled structure has its wheelsets at +L and -L; use skid `free` for an offset."
         return None

@@ -2,19 +2,13 @@
 
 from typing import ClassVar
 
-import equinox as eqx
 import jax.numpy as jnp
 
 from snakejax.core.parameter import Scalar, param
-from snakejax.dynamics.inputs import Gait
+from snakejax.dynamics.inputs import AbstractInputs
 from snakejax.dynamics.ports import InputModifier, Linkage
 from snakejax.dynamics.signals import Delayed, Joint, Scaled
 from snakejax.dynamics.vehicle import Wheelset
-
-
-def _on_steering(gait: Gait, change) -> Gait:
-    back = None if gait.phi_back is None else change(gait.phi_back)
-    return Gait(change(gait.phi), gait.psi, back)
 
 
 class SteeringLag(InputModifier):
@@ -28,8 +22,8 @@ class SteeringLag(InputModifier):
     description = "The steering answers its command late."
     T: Scalar = param("s", low=0.0, default=0.0)
 
-    def gait(self, gait: Gait) -> Gait:
-        return _on_steering(gait, lambda signal: Delayed(signal, self.T))
+    def gait(self, gait: AbstractInputs) -> AbstractInputs:
+        return gait.changed("phi", lambda signal: Delayed(signal, self.T))
 
 
 class RotorLag(InputModifier):
@@ -43,8 +37,8 @@ class RotorLag(InputModifier):
     description = "The rotor answers its command late."
     T: Scalar = param("s", low=0.0, default=0.0)
 
-    def gait(self, gait: Gait) -> Gait:
-        return eqx.tree_at(lambda g: g.psi, gait, Delayed(gait.psi, self.T))
+    def gait(self, gait: AbstractInputs) -> AbstractInputs:
+        return gait.changed("psi", lambda signal: Delayed(signal, self.T))
 
 
 class SteeringGain(InputModifier):
@@ -58,8 +52,8 @@ class SteeringGain(InputModifier):
     description = "The steering turns further than commanded, or less far."
     g: Scalar = param("-", default=0.0)
 
-    def gait(self, gait: Gait) -> Gait:
-        return _on_steering(gait, lambda signal: Scaled(signal, 1 + self.g))
+    def gait(self, gait: AbstractInputs) -> AbstractInputs:
+        return gait.changed("phi", lambda signal: Scaled(signal, 1 + self.g))
 
 
 class RotorGain(InputModifier):
@@ -75,8 +69,8 @@ class RotorGain(InputModifier):
 
     g: Scalar = param("-", default=0.0)
 
-    def gait(self, gait: Gait) -> Gait:
-        return eqx.tree_at(lambda g: g.psi, gait, Scaled(gait.psi, 1 + self.g))
+    def gait(self, gait: AbstractInputs) -> AbstractInputs:
+        return gait.changed("psi", lambda signal: Scaled(signal, 1 + self.g))
 
 
 class SteeringBacklash(Linkage):

@@ -21,7 +21,7 @@ def _needs_traction(model: "Model") -> str | None:
 
 
 def _needs_slip_angle(model: "Model") -> str | None:
-    if isinstance(model.tyre, Rayleigh):
+    if isinstance(model.tyre.of_axle("front"), Rayleigh):
         return "the Rayleigh force depends on the slip speed, not on the slip angle."
     return _needs_traction(model)
 

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from snakejax.dynamics.inputs import Gait
+from snakejax.dynamics.inputs import AbstractInputs, Gait
+from snakejax.dynamics.sampled_signals import Held, LaggedHold, LaggedSines, Shaped, lagged
 from snakejax.dynamics.signals import AbstractSignal, Logged, Scaled, Sines, Tracked
 from snakejax.recording.run import Noise, Run
 
@@ -28,7 +29,7 @@ class Batch(eqx.Module):
     times: Float[Array, "R n"]
     pose: Float[Array, "R n 3"]
     weight: Float[Array, "R n 3"]
-    gait: Gait
+    gait: AbstractInputs
     payload: Float[Array, "R 2"]
     start: Float[Array, "R S"]
     free_start: Float[Array, "R S"]
@@ -103,14 +104,15 @@ def _first_velocity(run: Run) -> np.ndarray:
     return np.array([slope[0] * np.cos(heading) + slope[1] * np.sin(heading), 0.0, slope[2]])
 
 
-def stacked_gaits(gaits: Sequence[Gait], until: float) -> Gait:
+def stacked_gaits(gaits: Sequence[AbstractInputs], until: float) -> AbstractInputs:
     """Stack `gaits` into one gait with a leading axis; gaits of different kinds become logs up to `until` [s]."""
-    if any(gait.phi_back is not None for gait in gaits):
-        gaits = [Gait(g.phi, g.psi, Scaled(g.phi, -1.0) if g.phi_back is None else g.phi_back) for g in gaits]
+    boards = [gait for gait in gaits if isinstance(gait, Gait)]
+    if any(gait.phi_back is not None for gait in boards):
+        gaits = [Gait(g.phi, g.psi, Scaled(g.phi, -1.0) if g.phi_back is None else g.phi_back) for g in boards]
     if len({_kinds(gait) for gait in gaits}) > 1:
         gaits = [jax.tree.map(lambda s: _sampled(s, until), gait, is_leaf=_is_signal) for gait in gaits]
     sizes = [leaf.shape[-1] for gait in gaits for leaf in jax.tree.leaves(gait) if leaf.ndim]
-    gaits = [_padded(gait, max(sizes)) for gait in gaits]
+    gaits = [_padded(gait, max(sizes, default=0)) for gait in gaits]
     return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]), *gaits)
 
 
@@ -118,7 +120,7 @@ def _is_signal(node) -> bool:
     return isinstance(node, AbstractSignal)
 
 
-def _kinds(gait: Gait) -> str:
+def _kinds(gait: AbstractInputs) -> str:
     return str(jax.tree.structure(gait))
 
 
@@ -127,15 +129,19 @@ def _sampled(signal: AbstractSignal, until: float) -> Logged:
     return Logged.of(times, jax.vmap(signal.at)(jnp.asarray(times)).angle)
 
 
-def _padded(gait: Gait, size: int) -> Gait:
+def _padded(gait: AbstractInputs, size: int) -> AbstractInputs:
     def pad(signal: AbstractSignal) -> AbstractSignal:
         if isinstance(signal, Sines):
             return signal.padded(size)
-        if isinstance(signal, Logged):
+        if isinstance(signal, Logged | Held):
             return signal.padded(size)
+        if isinstance(signal, LaggedHold):
+            return lagged(pad(signal.command), signal.tau)
+        if isinstance(signal, LaggedSines):
+            return eqx.tree_at(lambda s: s.command, signal, pad(signal.command))
         if isinstance(signal, Tracked):
             return eqx.tree_at(lambda s: s.command, signal, pad(signal.command))
-        if isinstance(signal, Scaled):
+        if isinstance(signal, Scaled | Shaped):
             return eqx.tree_at(lambda s: s.signal, signal, pad(signal.signal))
         return signal
 

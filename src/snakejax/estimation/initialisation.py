@@ -64,6 +64,17 @@ def other_starts(problem: Problem, values: Mapping[str, float], free: Sequence[s
     combinations, or times 1/9, 1/3, 3, 9 for a single one."""
     domains = dict(zip(free, domains_of(problem.model, free), strict=True))
     wide = [n for n in free if n.startswith("tyre.") and domains[n].multiplicative and domains[n].typical is None]
+    # Of tyres by axle all are moved alike.
+    if len({n.rsplit(".", 1)[-1] for n in wide}) < len(wide):
+        last = {n: n.rsplit(".", 1)[-1] for n in wide}
+        alike = sorted(set(last.values()))
+        combinations = itertools.product((1 / 3, 1.0, 3.0), repeat=len(alike))
+        by_name = [dict(zip(alike, combination, strict=True)) for combination in combinations]
+        return [
+            {**values, **{n: values[n] * one[last[n]] for n in wide}}
+            for one in by_name
+            if any(f != 1.0 for f in one.values())
+        ]
     factors = itertools.product((1 / 3, 1.0, 3.0) if len(wide) > 1 else (1 / 9, 1 / 3, 3.0, 9.0), repeat=len(wide))
     return [
         {**values, **{n: values[n] * f for n, f in zip(wide, combination, strict=True)}}
@@ -95,7 +106,8 @@ def fit_by_windows(
 
 def fit_windows(windows: Windows, values: Mapping[str, float], free: Sequence[str]) -> WindowSolution:
     """The better of two fits of `windows`: from `values`, and from the tyre force times `WEAKER` if it is free."""
-    weaker = {n: v * WEAKER if n in free and n in ("tyre.D", "tyre.k_s") else v for n, v in values.items()}
+    force = [n for n in free if n.startswith("tyre.") and n.rsplit(".", 1)[-1] in ("D", "k_s")]
+    weaker = {n: v * WEAKER if n in force else v for n, v in values.items()}
     with ThreadPoolExecutor() as pool:
         return min(pool.map(lambda start: windows.settle(start, free), (values, weaker)), key=lambda s: s.cost)
 

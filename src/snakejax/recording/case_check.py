@@ -8,6 +8,7 @@ import equinox as eqx
 import numpy as np
 
 from snakejax.core.errors import InputError
+from snakejax.dynamics.inputs import Gait
 from snakejax.dynamics.signals import AbstractSignal, Tracked
 
 from .quality import CONVENTIONS, Finding, Inspection, angles, clocks, estimate_noise, inspect
@@ -131,7 +132,7 @@ def _unused(case: Case, folder: Path) -> Iterator[Issue]:
 
 
 def _steering(run: Run) -> Iterator[Issue]:
-    for name in ("phi", "phi_back"):
+    for name in ("phi", "phi_back") if isinstance(run.gait, Gait) else ():
         signal: AbstractSignal | None = getattr(run.gait, name)
         command = signal.command if isinstance(signal, Tracked) else signal
         if command is None:

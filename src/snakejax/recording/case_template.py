@@ -14,6 +14,7 @@ title = "my snakeboard"             # free text; may be left out
 skid = "free"                       # what to start from: "free" (each wheelset skids by itself) or "coupled"
 # area_m = [-2.0, -1.5, 2.0, 1.5]   # lowest x, lowest y, highest x, highest y of the floor: samples outside are wrong
 
+# A snakeboard; another vehicle has a table [vehicle] with its kind in place of this: `snakejax new --vehicle car`.
 [board]
 mass_kg = 7.0                       # all of it: board, rotor, wheelsets
 rotor_inertia_kgm2 = 0.0238         # of the rotor about its axis
@@ -55,7 +56,8 @@ _TEMPLATE_RUNS = """\
 [[runs]]
 role = "train"
 mocap = "train-1.csv"               # Vicon CSV, C3D, TRC, Motive CSV, Qualisys TSV, a ROS bag, CSV or Parquet
-object = "board:board"              # its name in the file, in Vicon's subject:segment; the file's stem names the run
+object = "board:board"              # its name in the file, in Vicon's subject:segment
+# name = "first-lap"                # of the run; left out: the file's stem
 # What some files do not say; leave out what yours does. Of a plain table, the columns, in SI units or those given:
 # columns = {time = "t", x = "pos x", y = "pos y", heading = "yaw"}
 # units = {length = "mm", angle = "deg", time = "ms"}
@@ -73,6 +75,7 @@ psi = [[1.57, 4.0, 0.0]]            # rotor
 # joint_log = {file = "joints.csv", kind = "measured"}
 # A log has a clock of its own, which shows t (1 + drift) + offset_s at the cameras' time t; "estimate" lets a fit find
 # them: joint_log = {file = "joints.csv", kind = "measured", offset_s = "estimate", drift = 0.0}
+# With hold = true in it, a log's values last until the next sample, as commands to a robot do.
 # window_s = [0.5, 8.0]             # use the samples from 0.5 to 8 s after the first row only
 # payload_kg = 2.0                  # extra mass at the centre of mass in this run
 # payload_inertia_kgm2 = 0.01       # and its yaw inertia

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from snakejax.core.parameter import Scalar
-from snakejax.dynamics.inputs import Gait
-from snakejax.vehicles.snakeboard.board import Board
+from snakejax.dynamics.inputs import AbstractInputs
+from snakejax.dynamics.vehicle import AbstractVehicle
 
 
 class LogClock(NamedTuple):
@@ -46,7 +46,7 @@ class Run(eqx.Module):
     role: str = eqx.field(static=True)
     times: Float[Array, " n"]
     pose: Float[Array, "n 3"]
-    gait: Gait
+    gait: AbstractInputs
     payload: Float[Array, "2"] = eqx.field(default_factory=lambda: jnp.zeros(2))
     moving: bool = eqx.field(static=True, default=False)
     log: LogClock | None = eqx.field(static=True, default=None)
@@ -94,7 +94,7 @@ class Case(eqx.Module):
     name: str = eqx.field(static=True)
     title: str = eqx.field(static=True)
     constraint: str = eqx.field(static=True)
-    board: Board
+    board: AbstractVehicle
     runs: tuple[Run, ...]
     noise: Noise | None = None
     sha256: dict[str, str] = eqx.field(static=True, default_factory=dict)

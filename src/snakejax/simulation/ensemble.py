@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 from snakejax.core.fast_math import hold
 from snakejax.core.jax_config import require_x64
 from snakejax.core.parallel import cores
-from snakejax.dynamics.inputs import Gait
+from snakejax.dynamics.inputs import AbstractInputs
 from snakejax.dynamics.model import Model
 
 from .integrate import Accuracy
@@ -40,7 +40,7 @@ _STAGES = [[float(a) for a in row] for row in _TABLEAU.a_lower]
 _NODES = [float(c) for c in _TABLEAU.c]
 _ERROR = [float(e) for e in _TABLEAU.b_error]
 
-Members = tuple[Model, Gait | None, Float[Array, "V 3"]]
+Members = tuple[Model, AbstractInputs | None, Float[Array, "V 3"]]
 """Stacked models, stacked gaits and start poses of the members."""
 Leaves = list[Float[Array, " B"]]
 Rates = Callable[[Float[Array, " B"], Leaves], Leaves]
@@ -105,8 +105,11 @@ def _moved(p: Array, h: Array, row: list[float], slopes: list[Array]) -> Array:
     return p + h * _combined(row, slopes)
 
 
-def _poses(models: Model, gaits: Gait, times: Array, start: Array, accuracy: Accuracy) -> Float[Array, "B n 3"]:
+def _poses(
+    models: Model, gaits: AbstractInputs, times: Array, start: Array, accuracy: Accuracy
+) -> Float[Array, "B n 3"]:
     """Poses (B, n, 3) of one block, infinite for a member that did not reach the end."""
+    gaits = jax.vmap(lambda model, gait: model.prepared(gait))(models, gaits)
     delay = jax.vmap(lambda model: model.delay() + jnp.zeros(()))(models)
     begins = jax.vmap(lambda gait: gait.begins())(gaits)
     end_times = jnp.maximum(times[:, None] - delay[None, :], begins[None, :])
@@ -127,7 +130,7 @@ def _poses(models: Model, gaits: Gait, times: Array, start: Array, accuracy: Acc
 
 
 def _chunk(
-    members: Members, count: Array, gait: Gait | None, times: Array, accuracy: Accuracy
+    members: Members, count: Array, gait: AbstractInputs | None, times: Array, accuracy: Accuracy
 ) -> Float[Array, "V n 3"]:
     """Poses (V, n, 3) of the first `count` members of a chunk, block by block."""
 
@@ -163,11 +166,11 @@ def _program(devices: int, arguments: tuple, accuracy: Accuracy):
         return _PROGRAMS[key]
 
 
-def _alone(members: Members, counts: Array, gait: Gait | None, times: Array, accuracy: Accuracy) -> Array:
+def _alone(members: Members, counts: Array, gait: AbstractInputs | None, times: Array, accuracy: Accuracy) -> Array:
     return _chunk(members, counts[0], gait, times, accuracy)
 
 
-def _shared(members: Members, counts: Array, gait: Gait | None, times: Array, accuracy: Accuracy) -> Array:
+def _shared(members: Members, counts: Array, gait: AbstractInputs | None, times: Array, accuracy: Accuracy) -> Array:
     mesh = Mesh(np.array(jax.local_devices()), ("lanes",))
     each, all_ = PartitionSpec("lanes"), PartitionSpec()
 
@@ -180,7 +183,7 @@ def _shared(members: Members, counts: Array, gait: Gait | None, times: Array, ac
 
 def simulate_many(
     models: Model,
-    gait: Gait,
+    gait: AbstractInputs,
     times: Float[Array, " n"],
     start: Sequence[float] | Float[Array, "V 3"] = (0.0, 0.0, 0.0),
     *,

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float
 from snakejax.core.jax_config import require_x64
 from snakejax.core.parameter import Scalar
 from snakejax.dynamics.contact import Motion
-from snakejax.dynamics.inputs import Gait
+from snakejax.dynamics.inputs import AbstractInputs
 from snakejax.dynamics.model import Model
 
 NUDGE = 1e-9
@@ -52,7 +52,7 @@ class Trajectory(eqx.Module):
 
 def simulate(
     model: Model,
-    gait: Gait,
+    gait: AbstractInputs,
     times: Float[Array, " n"],
     start: Sequence[float] | Float[Array, " k"] = (0.0, 0.0, 0.0),
     *,
@@ -75,6 +75,7 @@ def simulate(
     """
     require_x64()
     times, start = jnp.asarray(times), jnp.asarray(start, jnp.float64)
+    gait = model.prepared(gait)
     if start.shape not in ((3,), (6,), (6 + model.memories,)):
         raise ValueError(f"Argument `start` must have 3 or 6 numbers, but its shape is {start.shape}.")
     delayed, begins = times - model.delay(), gait.begins()
@@ -92,7 +93,13 @@ def simulate(
 
 
 def _integrate(
-    model: Model, gait: Gait, state: Any, t0: Scalar, times: Float[Array, " n"], accuracy: Accuracy, throw: bool
+    model: Model,
+    gait: AbstractInputs,
+    state: Any,
+    t0: Scalar,
+    times: Float[Array, " n"],
+    accuracy: Accuracy,
+    throw: bool,
 ) -> tuple[Any, Bool[Array, ""]]:
     forward = accuracy.derivative == "forward"
     most_steps = max(accuracy.max_steps, STEPS_A_SAMPLE * times.shape[0])
@@ -109,7 +116,7 @@ def _integrate(
     # diffrax fails on an empty tuple inside the state, so it integrates the list of leaves.
     leaves, structure = jax.tree.flatten(state)
 
-    def rates(t: Scalar, y: list[Scalar], args: Gait) -> list[Scalar]:
+    def rates(t: Scalar, y: list[Scalar], args: AbstractInputs) -> list[Scalar]:
         return jax.tree.leaves(model.rates(t, jax.tree.unflatten(structure, y), args))
 
     solution = diffrax.diffeqsolve(
@@ -164,16 +171,20 @@ class _RestBoundedPIDController(diffrax.PIDController):
         return keep, begin, end, jumped, memory, result
 
 
-def _stable_at_rest(model: Model, gait: Gait, state: Any, t: Scalar) -> Scalar:
+def _stable_at_rest(model: Model, gait: AbstractInputs, state: Any, t: Scalar) -> Scalar:
     """The longest step [s] near rest, 2 / fastest decay rate: inside the stability interval of Tsit5."""
     body, memories = jax.tree.map(jnp.zeros_like, state)
     nudged = (*body[:3], *(part + NUDGE for part in body[3:]))
     rates = [jax.tree.leaves(model.rates(t, (at, memories), gait)[0])[3:] for at in (body, nudged)]
+    if not rates[0]:  # The inputs alone prescribe the motion.
+        return jnp.asarray(jnp.inf)
     fastest = jnp.max(jnp.abs(jnp.stack(rates[1]) - jnp.stack(rates[0]))) / NUDGE
     return 2.0 / jnp.maximum(jax.lax.stop_gradient(fastest), 1.0)
 
 
-def motions(model: Model, gait: Gait, trajectory: Trajectory) -> tuple[Motion, tuple[Float[Array, " n"], ...]]:
+def motions(
+    model: Model, gait: AbstractInputs, trajectory: Trajectory
+) -> tuple[Motion, tuple[Float[Array, " n"], ...]]:
     """The motion at every sample of `trajectory`, and the lateral tyre force F_i [N] (n,) of each wheelset."""
 
     def at(t: Scalar, state: Any) -> tuple[Any, tuple[Scalar, ...]]:

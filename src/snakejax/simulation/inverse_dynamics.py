@@ -5,13 +5,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from snakejax.core.parameter import Scalar
-from snakejax.dynamics.inputs import Gait
+from snakejax.dynamics.inputs import AbstractInputs
 from snakejax.dynamics.model import Model
 
 from .integrate import Trajectory
 
 
-def torques(model: Model, gait: Gait, trajectory: Trajectory) -> Float[Array, "n 2"]:
+def torques(model: Model, gait: AbstractInputs, trajectory: Trajectory) -> Float[Array, "n 2"]:
     """Torques (n, 2) [N m] of the steering and the rotor joint at every sample of a run (rows phi and psi of eq. 2).
 
         tau_phi = 2 J_w phi''        tau_psi = J_r (psi'' + rdot)
@@ -27,8 +27,7 @@ def torques(model: Model, gait: Gait, trajectory: Trajectory) -> Float[Array, "n
         motion = model.motion(t, state[0], gait)
         rates = model.rates(t, state, gait)
         yaw_acceleration = jax.jvp(yaw_rate, (t, state), (jnp.ones(()), jax.tree.map(jnp.asarray, rates)))[1]
-        steering = 2 * model.board.wheelset_inertia * motion.steering.acceleration
-        return jnp.stack([steering, model.board.rotor_inertia * (motion.rotor.acceleration + yaw_acceleration)])
+        return jnp.stack(model.board.actuator_torques(motion.inputs, yaw_acceleration))
 
     return jax.vmap(at)(trajectory.command_times, trajectory.state)
 

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from snakejax.core.parameter import parameters, with_parameters
 from snakejax.core.progress import Progress, no_progress
-from snakejax.dynamics.inputs import Gait
+from snakejax.dynamics.inputs import AbstractInputs
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.tyres import Bakker
 
@@ -105,7 +105,7 @@ def models_on(model: Model, columns: Columns) -> Model:
     return models
 
 
-def _poses(model: Model, gait: Gait, times: np.ndarray, start: Sequence[float], columns: Columns) -> Columns:
+def _poses(model: Model, gait: AbstractInputs, times: np.ndarray, start: Sequence[float], columns: Columns) -> Columns:
     return {"pose": simulate_many(models_on(model, columns), gait, times, start, accuracy=ACCURACY, workers=1)}
 
 
@@ -126,7 +126,7 @@ class SweepOptions(TypedDict, total=False):
 
 def sweep(
     model: Model,
-    gait: Gait,
+    gait: AbstractInputs,
     times: Float[Array, " n"],
     over: Axes | Mapping[str, Sequence[float]],
     **how: Unpack[SweepOptions],
@@ -160,7 +160,12 @@ def coordinates(model: Model, axes: Axes) -> dict[str, Any]:
 
 
 def evaluate(
-    work: Callable[..., Columns], model: Model, gait: Gait, times: Float[Array, " n"], axes: Axes, how: SweepOptions
+    work: Callable[..., Columns],
+    model: Model,
+    gait: AbstractInputs,
+    times: Float[Array, " n"],
+    axes: Axes,
+    how: SweepOptions,
 ) -> dict[str, np.ndarray]:
     """Apply `work(model, gait, times, start, columns)` to all members of `axes`; each sweep has its own folder."""
     # NumPy arrays can be sent to a process in which JAX has not been imported.

@@ -10,7 +10,7 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from snakejax.core.parameter import parameters
-from snakejax.dynamics.inputs import Gait
+from snakejax.dynamics.inputs import AbstractInputs
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.observation import CHANNELS
 from snakejax.dynamics.ports import LateralForce, TyreModifier, TyreState
@@ -48,7 +48,7 @@ def rayleigh(model: Model, k_s: float) -> Model:
 
 def nearest_rayleigh(
     model: Model,
-    gait: Gait,
+    gait: AbstractInputs,
     times: Float[Array, " n"],
     over: Axes | Mapping[str, Sequence[float]],
     **how: Unpack[SweepOptions],
@@ -78,7 +78,9 @@ def nearest_rayleigh(
     return xarray.Dataset(data, coordinates(model, axes))
 
 
-def _nearest(model: Model, gait: Gait, times: np.ndarray, start: Sequence[float], columns: Columns) -> Columns:
+def _nearest(
+    model: Model, gait: AbstractInputs, times: np.ndarray, start: Sequence[float], columns: Columns
+) -> Columns:
     def simulated(models: Model) -> np.ndarray:
         return simulate_many(models, gait, times, start, accuracy=ACCURACY, workers=1)
 

@@ -1,3 +1,11 @@
+from .car import DART as DART
+from .car import Car as Car
+from .roller_racer import ROLLER_RACER as ROLLER_RACER
+from .roller_racer import RollerRacer as RollerRacer
+from .skid_steer import HUSKY as HUSKY
+from .skid_steer import SkidSteer as SkidSteer
+from .sleigh import ICE_SLEIGH as ICE_SLEIGH
+from .sleigh import Sleigh as Sleigh
 from .snakeboard.board import TABLE_II as TABLE_II
 from .snakeboard.board import Board as Board
 from .snakeboard.paper_constraints import Coupled as Coupled

@@ -99,8 +99,9 @@ def _phase(drive: ForceEstimator, motion: MotionSamples) -> np.ndarray:
     for k in range(len(drive.runs)):
         in_run = drive.owner == k
         t = motion.time[in_run].ravel()
-        joints = (motion.steering_angle[in_run].ravel(), motion.rotor_angle[in_run].ravel())
-        angle = joints[0] if np.std(joints[0]) > 1e-6 else joints[1]
+        named = {name: values for name, values in motion.inputs.items() if not name.endswith("_rate")}
+        joints = [values[in_run].ravel() for values in named.values()] or [np.zeros(t.size)]
+        angle = next((joint for joint in joints if np.std(joint) > 1e-6), joints[-1])
         angle = angle - angle.mean()
         # Windows may overlap and leave gaps.
         order = np.argsort(t)
@@ -129,10 +130,7 @@ def _features(drive: ForceEstimator, track: MotionSamples) -> dict[str, list[_Fe
         "speed": plain("speed", np.hypot(track.u, track.w)),
         "slip": plain("slip_speed", (slip[0] + slip[1]) / 2, slip)
         + plain("slip_angle", (angle[0] + angle[1]) / 2, angle),
-        "steering_angle": plain("steering_angle", track.steering_angle),
-        "steering_rate": plain("steering_rate", track.steering_rate),
-        "rotor_angle": plain("rotor_angle", track.rotor_angle),
-        "rotor_rate": plain("rotor_rate", track.rotor_rate),
+        **{name: plain(name, values) for name, values in track.inputs.items()},
         "time": plain("time", track.time),
         "gait_phase": turning("gait_phase", _phase(drive, track)),
     }

@@ -31,10 +31,8 @@ class MotionSamples(NamedTuple):
     u: np.ndarray
     w: np.ndarray
     r: np.ndarray
-    steering_angle: np.ndarray
-    steering_rate: np.ndarray
-    rotor_angle: np.ndarray
-    rotor_rate: np.ndarray
+    inputs: dict[str, np.ndarray]
+    """What the vehicle names beside: angles and rates of its joints, see `AbstractVehicle.variables`."""
     slip: tuple[np.ndarray, np.ndarray]
     """Lateral slip speed [m/s]."""
     angle: tuple[np.ndarray, np.ndarray]
@@ -93,6 +91,6 @@ def _track(model: Model, gait, path) -> MotionSamples:
     for ahead in (True, False):
         on_side = [pair for pair, place in zip(pairs, places, strict=True) if place == ahead] or pairs
         sides.append([sum(parts) / len(on_side) for parts in zip(*on_side, strict=True)])
-    joints = (motion.steering.angle, motion.steering.rate, motion.rotor.angle, motion.rotor.rate)
     place = (motion.time, motion.x, motion.y, motion.theta, motion.heading, motion.u, motion.w, motion.r)
-    return MotionSamples(*place, *joints, (sides[0][0], sides[1][0]), (sides[0][1], sides[1][1]))
+    slip, angle = ((sides[0][k], sides[1][k]) for k in range(2))
+    return MotionSamples(*place, model.board.variables(motion.inputs), slip, angle)

@@ -68,7 +68,8 @@ def effect_template(missing: LatentForce) -> str:
         lines = ["x, y = motion.x, motion.y", *lines]
     else:
         joint = ["s = motion.steering"] if shape.feature == "gait_phase" else []
-        lines = [*joint, f"v = {by_wheel or _VARIABLES[shape.feature]}", *lines]
+        of_vehicle = f"motion.board.variables(motion.inputs)[{shape.feature!r}]"
+        lines = [*joint, f"v = {by_wheel or _VARIABLES.get(shape.feature, of_vehicle)}", *lines]
     method = "lateral(self, force, wheel, motion)" if drop else "wrench(self, motion)"
     unit = _UNITS[shape.carrier]
     known = "".join(f" --effect {effect}" for effect in missing.beside if effect != LATERAL_SLIP_SWITCH)

@@ -92,7 +92,7 @@ class _Push(LateralForce):
 
 def tyre_forces(fitted: FittedModel, seen: Sequence[RunReplay]) -> TyreForces:
     """The tyre of `fitted` and what the train runs among `seen`, the scenes of its recordings, ask of it."""
-    viscous = isinstance(fitted.model.tyre, Rayleigh)
+    viscous = isinstance(fitted.model.tyre.of_axle("front"), Rayleigh)
     train = [scene for scene in seen if scene.role == "train"]
     felt = [a for scene in train if (a := reconstruct_forces(fitted, scene)) is not None]
     means = binned(felt)
@@ -109,7 +109,10 @@ def curve(fitted: FittedModel, slip: Float[np.ndarray, " p"]) -> Curve:
 
     def force(values: Float[np.ndarray, " k"]):
         tyre = with_parameters(model, dict(zip(names, values, strict=True))).tyre
-        return jax.vmap(tyre.force)(jnp.asarray(slip), jnp.asarray(slip))
+        # Of different tyres the curve is that of the first wheel.
+        first = model.board.wheelsets[0]
+        own = tyre.of_axle(first.axle).under(model.board.load(first))
+        return jax.vmap(own.force)(jnp.asarray(slip), jnp.asarray(slip))
 
     at = jnp.asarray([float(known[name].value) for name in names])
     sd = np.zeros_like(slip)
@@ -146,7 +149,7 @@ def reconstruct_forces(fitted: FittedModel, scene: RunReplay) -> ReconstructedFo
         lambda a: np.concatenate([a[kept], np.repeat(a[-1:], extra, axis=0)]),
         (scene.times, scene.states, np.nan_to_num(shift), np.nan_to_num(sd)),
     )
-    viscous = isinstance(model.tyre, Rayleigh)
+    viscous = isinstance(model.tyre.of_axle("front"), Rayleigh)
     found = _asked(model, run.gait, run.payload, times, states, shift, sd, viscous)
     slip, force, error, speed = (np.asarray(part)[: usable.size] for part in found)
     clear = usable[:, None] & (speed > slowest) & (error > 0)
@@ -162,7 +165,7 @@ def _asked(model: Model, gait, payload, times, states, shift, sd, viscous: bool)
     model = model.with_traced_payload(payload)
     board = model.effective_vehicle()
     places = [wheelset.place for wheelset in board.wheelsets]
-    size = jnp.stack([board.mass, board.mass, board.total_inertia / board.half_length])
+    size = jnp.stack([board.mass, board.mass, board.total_inertia / board.length])
 
     def world(t, state, push):
         """Velocity and acceleration (x, y, heading), under extra tractions `push`."""

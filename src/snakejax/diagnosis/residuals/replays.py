@@ -40,8 +40,8 @@ class RunReplay(NamedTuple):
     `track`, the residual. `measured` (n, 3), the recorded x [m], y [m] and heading [rad], NaN where lost; `pose` (n,
     3), the modelled ones. Of each of W wheelsets, (n, W): `steered` [rad], how it stands to the board, positive to
     the left; `slip_speed` [m/s]; `slip` [rad], its slip angle; `force` [N], the traction against it. `rotor` (n,)
-    [rad]. `skid_angle` (n,) [rad], the heading less the angle of the frame that forces are counted in (beta of
-    `Coupled`). `states`: the state of the model at every sample, as `Model.rates` takes it.
+    [rad], zero without one. `skid_angle` (n,) [rad], the heading less the angle of the frame that forces are counted
+    in (beta of `Coupled`). `states`: the state of the model at every sample, as `Model.rates` takes it.
     """
 
     track: ResidualSeries
@@ -101,7 +101,7 @@ def replay_model(model: Model, runs: Sequence[Run], starts: Float[np.ndarray, "R
 def _dressed(run: Run, played: Any, residual: np.ndarray, sd: np.ndarray, board: AbstractVehicle) -> RunReplay:
     n = run.times.shape[0]
     motion, force, pose, states = jax.tree.map(lambda leaf: np.asarray(leaf)[:n], played)
-    track = ResidualSeries(run.name, run.role, np.asarray(run.times), residual, sd, _named(motion))
+    track = ResidualSeries(run.name, run.role, np.asarray(run.times), residual, sd, _named(motion, board))
     wheels = motion.wheels
     speed = np.stack([wheel.lateral for wheel in wheels], axis=1)
     rolling = np.stack([wheel.rolling for wheel in wheels], axis=1)
@@ -110,7 +110,7 @@ def _dressed(run: Run, played: Any, residual: np.ndarray, sd: np.ndarray, board:
         np.where(np.isfinite(np.asarray(run.pose)).all(axis=1, keepdims=True), np.asarray(run.pose), np.nan),
         pose,
         np.stack([wheel.joint.angle for wheel in wheels], axis=1),
-        motion.rotor.angle,
+        motion.inputs["psi"].angle if "psi" in motion.inputs else np.zeros(n),
         speed,
         np.asarray(slip_angle(speed, rolling, board.creep_speed)),
         np.stack(force, axis=1),
@@ -127,20 +127,18 @@ def _played(model, batch, start, accuracy):
     return motion, force, done.pose, done.state
 
 
-def _named(motion: Motion) -> dict[str, np.ndarray]:
+def _named(motion: Motion, vehicle: AbstractVehicle) -> dict[str, np.ndarray]:
     """The variables by name; SI units and radians."""
-    ends = ("front", "back") if len(motion.wheels) == 2 else range(len(motion.wheels))
+    names = [wheelset.name or str(k) for k, wheelset in enumerate(vehicle.wheelsets)]
+    ends = ("front", "back") if names == ["0", "1"] else names
     return {
-        "gait_phase": gait_phase(motion.time, motion.steering.angle, motion.rotor.angle),
+        "gait_phase": gait_phase(motion.time, *(joint.angle for joint in motion.inputs.values())),
         **{f"slip_{end}": wheel.lateral for end, wheel in zip(ends, motion.wheels, strict=True)},
         "speed": np.hypot(motion.u, motion.w),
         "x": motion.x,
         "y": motion.y,
         "heading": motion.heading,
-        "steering_angle": motion.steering.angle,
-        "steering_rate": motion.steering.rate,
-        "rotor_angle": motion.rotor.angle,
-        "rotor_rate": motion.rotor.rate,
+        **{name: np.asarray(values) for name, values in vehicle.variables(motion.inputs).items()},
         "time": motion.time,
     }  # type: ignore[return-value]
 

@@ -20,6 +20,8 @@ from .criteria import CRITERIA, SelectionCriteria
 
 WIDTH = 13
 """How many parameters one compiled fit can free: a tyre and several effects."""
+ROOM = 9
+"""At least so many of them are for effects."""
 WORKERS = 2
 
 
@@ -63,10 +65,11 @@ class CandidateSet(eqx.Module):
                 full_effect = effect
                 full = full.add(**{name: effect})
             candidates[name] = tuple(f"effects.{name}.{part}" for part in parameters(full_effect))
-        tyre = tuple(n for n in default_free(model) if n.startswith("tyre."))
+        tyre = tuple(n for n in default_free(model) if not n.startswith("effects."))
         names = [*tyre, *(part for parts in candidates.values() for part in parts)]
-        problem = Problem.of(full, case.runs, noise, names, WIDTH)
-        windows = Windows.of(full, case.having("train"), noise, names, WIDTH, LENGTH)
+        width = max(WIDTH, len(tyre) + ROOM)
+        problem = Problem.of(full, case.runs, noise, names, width)
+        windows = Windows.of(full, case.having("train"), noise, names, width, LENGTH)
         return CandidateSet(problem, windows, tyre, candidates, left_out, switched, criteria)
 
     @property

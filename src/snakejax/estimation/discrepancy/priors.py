@@ -53,7 +53,7 @@ def effect_sd(domain: Domain, model: Model, scales: Scales) -> float:
     Forces are those that move the vehicle, lengths a fifth of its half length.
     """
     force = float(np.hypot(scales.force[0], scales.force[1]))
-    length = float(model.board.half_length)
+    length = float(model.board.length)
     per_speed = force / SPEED_OF_SLIP
     large = {
         "N": force,

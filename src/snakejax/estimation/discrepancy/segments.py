@@ -121,6 +121,7 @@ def _integrated(model: Model, sub: Int[Array, ""], segment, z: Float[Array, " nz
     gait, times, rest, begins, payload = segment
     model = eqx.tree_at(lambda m: m.board, model, replace_fn=lambda b: b.with_payload(*payload))
     model = with_parameters(model, dict(zip(_FORCE_NAMES, z[-FORCE:], strict=True)))
+    gait = model.prepared(gait)
     template = jax.tree.structure(model.start((z[0], z[1], z[2])))
     delayed = times - model.delay()
     # A board at rest at its start was at rest before, whatever the delay of the clocks.

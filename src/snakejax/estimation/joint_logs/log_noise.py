@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from snakejax.dynamics.inputs import Gait, logs_of, with_logs
+from snakejax.dynamics.inputs import AbstractInputs, logs_of, with_logs
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.signals import Logged
 from snakejax.recording.quality import Smoothed, smoothed_again
@@ -24,12 +24,12 @@ DRAWS = 80
 """Samples of the log noise: a standard deviation from 80 samples has a relative error of 8 %."""
 
 
-def is_noisy(gait: Gait) -> bool:
+def is_noisy(gait: AbstractInputs) -> bool:
     """Whether a log of `gait` has noise."""
     return any(float(log.noise) > 0 for log in logs_of(gait))
 
 
-def redrawn_log(gait: Gait, rng: np.random.Generator) -> Gait:
+def redrawn_log(gait: AbstractInputs, rng: np.random.Generator) -> AbstractInputs:
     """`gait` with another sample of the log noise behind the same smoothing.
 
     The smoothing acts on signal plus noise, so its bias at a kink of the motion is included.

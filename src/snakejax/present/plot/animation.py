@@ -71,7 +71,7 @@ class _Film:
         self.scene = scene = model.scenes[0 if run is None else names.index(run)]
         self.figure = Figure(figsize=(6.4, 5.2), layout="constrained", dpi=100)
         axis = self.figure.subplots()
-        half, places = float(board.half_length), [float(w.place) for w in board.wheelsets]
+        half, places = float(board.length), [float(w.place) for w in board.wheelsets]
         path(axis, scene.measured, MEASURED._replace(colour="#c0c0c0"), "measured", wide=True)
         self.trail = axis.plot([], [], color=model.look.colour, ls=MATPLOTLIB[model.look.dash], lw=1.2)[0]
         self.ghost = _Drawn(axis, MEASURED.colour, 2.5, 0.5, places, half)

@@ -28,7 +28,7 @@ def movie(models: Sequence[ModelView], board: AbstractVehicle) -> Json:
     models: {key: {x, y, heading, rotor, steered: [wheelset][frame], slip: the same, colour}}}]}
     """
     fastest = max(float(np.abs(scene.slip_speed).max()) for model in models for scene in model.scenes)
-    half = float(board.half_length)
+    half = float(board.length)
     return {
         "half_length": half,
         "places": [float(wheelset.place) for wheelset in board.wheelsets],

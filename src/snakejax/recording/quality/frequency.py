@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from snakejax.core.periodogram import fundamental_frequency
-from snakejax.dynamics.inputs import Gait
+from snakejax.dynamics.inputs import Gait, as_gait
 from snakejax.dynamics.signals import AbstractSignal, Sines, Tracked
 from snakejax.vehicles.snakeboard.board import Board
 
@@ -77,7 +77,7 @@ def _finding(run: Run, motion: JointMotion, pace: Pace) -> Finding:
 def _tried(besides: Sequence[tuple[Run, JointMotion]], board: Board, pace: Pace) -> _Tried | None:
     runs = [dataclasses.replace(run, gait=_at_pace(run.gait, pace)) for run, _ in besides]
     joints = [
-        (angles(run.gait.phi, motion.fine), angles(run.gait.psi, motion.fine))
+        (angles(as_gait(run.gait).phi, motion.fine), angles(as_gait(run.gait).psi, motion.fine))
         for run, (_, motion) in zip(runs, besides, strict=True)
     ]
     evidence = [
@@ -106,7 +106,8 @@ def _faster(signal: AbstractSignal, factor: float) -> AbstractSignal:
 
 def _periodic(run: Run) -> bool:
     """Whether the gait of `run` is one of sines, and not of logs."""
-    joints = (run.gait.phi, run.gait.psi, run.gait.phi_back)
+    gait = as_gait(run.gait)
+    joints = (gait.phi, gait.psi, gait.phi_back)
     return all(isinstance(_command(joint), Sines) for joint in joints if joint is not None)
 
 

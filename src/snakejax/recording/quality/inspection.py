@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from snakejax.core.errors import InputError
+from snakejax.vehicles.snakeboard.board import Board
 
 from ..readers import FEWEST_SAMPLES
 from ..run import Case, Run
@@ -104,7 +105,7 @@ def inspect(case: Case, as_recorded: bool = False) -> Inspection:
         repaired, of_run = inspect_run(run, case.area)
         runs.append(repaired)
         findings += of_run
-    if not any(f.severity == "refused" for f in findings):
+    if isinstance(case.board, Board) and not any(f.severity == "refused" for f in findings):
         # What one of them finds would mislead those after it.
         findings += frequencies(runs, case.board) or conventions(runs) or measures(runs, case.board)
     if as_recorded:

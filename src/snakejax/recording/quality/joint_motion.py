@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from snakejax.core.local_polynomials import derivative, window_of
+from snakejax.dynamics.inputs import Gait
 from snakejax.dynamics.signals import AbstractSignal
 
 from ..run import Run
@@ -54,7 +55,7 @@ def yaw_regressors(against: np.ndarray, steer: np.ndarray, along: np.ndarray) ->
 def joint_motion(run: Run, most: float) -> JointMotion | None:
     """The motion of `run` with its joints up to `most` [s] before and after; None where too little was seen."""
     steady = steady_poses(run)
-    if steady is None:
+    if steady is None or not isinstance(run.gait, Gait):
         return None
     times, pose = steady
     frame = float(times[1] - times[0])

@@ -22,6 +22,7 @@ from jaxtyping import Float
 
 from snakejax.core.errors import InputError
 from snakejax.core.rotations import nearest_rotations
+from snakejax.dynamics.inputs import Gait
 
 from ..run import Case, Noise, Run
 from .kinematics import robust_sd
@@ -166,7 +167,9 @@ def rest(runs: Sequence[Run]) -> Source | None:
 
 
 def _still(run: Run) -> np.ndarray:
-    signals = [s for s in (run.gait.phi, run.gait.psi, run.gait.phi_back) if s is not None]
+    signals = [run.gait.signal(name) for name in run.gait.names]
+    if not isinstance(run.gait, Gait):  # A speed or a command at rest may move the vehicle all the same.
+        return np.zeros(run.times.shape[0], bool)
     rates = [np.asarray(jax.vmap(lambda t, s=s: s.at(t).rate)(jnp.asarray(run.times))) for s in signals]
     return np.max(np.abs(rates), axis=0) < STILL
 

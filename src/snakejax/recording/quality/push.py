@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from snakejax.core.local_polynomials import derivative, derivative_gain, window_of
+from snakejax.dynamics.inputs import as_gait
 from snakejax.vehicles.snakeboard.board import Board
 
 from ..run import Run
@@ -80,8 +81,9 @@ def push(run: Run, board: Board, lag: float = 0.0) -> Push | None:
         return None
     times, pose = steady
     frame = float(times[1] - times[0])
-    front, turned = (angles(signal, times + lag) for signal in (run.gait.phi, run.gait.psi))
-    back = -front if run.gait.phi_back is None else angles(run.gait.phi_back, times + lag)
+    gait = as_gait(run.gait)
+    front, turned = (angles(signal, times + lag) for signal in (gait.phi, gait.psi))
+    back = -front if gait.phi_back is None else angles(gait.phi_back, times + lag)
     kept = _known(PoseSeries.of(run), times) & (np.abs(front) < STEEP) & (np.abs(back) < STEEP)
     window = window_of(WIDTH, frame)
     if kept.sum() < 2 * window:

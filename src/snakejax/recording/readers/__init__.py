@@ -14,7 +14,9 @@ from .capture import Source
 from .cells import shown
 from .export import write_csv as write_csv
 from .export import write_tum as write_tum
+from .input_log import InputLog as InputLog
 from .input_log import JointLog as JointLog
+from .input_log import read_input_log as read_input_log
 from .input_log import read_joint_log as read_joint_log
 from .planar_pose import FEWEST_SAMPLES as FEWEST_SAMPLES
 from .planar_pose import PoseTrack as PoseTrack

@@ -1,13 +1,17 @@
 """Snakeboard: masses, inertias, positions of the wheelsets, and possible constraints of the wheels."""
 
+from collections.abc import Mapping
 from typing import ClassVar, Self
 
 import equinox as eqx
 
 from snakejax.core.parameter import Scalar, param
-from snakejax.dynamics.constraints import AbstractConstraint, NonSlipping, Slipping
-from snakejax.dynamics.vehicle import AbstractVehicle, Wheelset
+from snakejax.dynamics.constraints import AbstractConstraint
+from snakejax.dynamics.inputs import Gait, Input
+from snakejax.dynamics.signals import AbstractSignal, Joint
+from snakejax.dynamics.vehicle import AbstractVehicle, Angles, Body, Joints, Placement, Stroke, Wheelset
 
+from .closed_form import NonSlippingBoard, SlippingBoard
 from .paper_constraints import Coupled, Printed
 
 
@@ -19,10 +23,17 @@ class Board(AbstractVehicle):
     slip angle (`slip_angle`); the default 1 mm/s is far below any measured speed.
     """
 
+    noun: ClassVar[str] = "board"
+    inputs: ClassVar[tuple[Input, ...]] = (
+        Input("phi", "angle", "steering"),
+        Input("psi", "angle", "rotor"),
+        Input("phi_back", "angle", "back steering", follows="-phi"),
+    )
+    stated_sd: ClassVar[dict[str, float]] = {"mass": 0.03, "half_length": 0.005, "inertia": 0.07, "rotor_inertia": 0.07}
     structures: ClassVar[dict[str, type[AbstractConstraint]]] = {
         "coupled": Coupled,
-        "free": Slipping,
-        "ideal": NonSlipping,
+        "free": SlippingBoard,
+        "ideal": NonSlippingBoard,
         "printed": Printed,
     }
     relaxed: ClassVar[dict[str, str]] = {"coupled": "free"}
@@ -40,6 +51,50 @@ class Board(AbstractVehicle):
     def total_inertia(self) -> Scalar:
         """Yaw inertia I [kg m^2]: `inertia`, or m L^2 if that is None."""
         return self.mass * self.half_length**2 if self.inertia is None else self.inertia
+
+    @property
+    def length(self) -> Scalar:
+        """L [m], `half_length`."""
+        return self.half_length
+
+    def bodies(self, angles: Angles) -> tuple[Body, ...]:
+        """Everything that turns with the board, and beside it the rotor and the wheelsets about their pivots.
+
+        The wheelsets turn in opposite directions, so that their reaction cancels and they count with the board.
+        """
+        return (
+            Body(self.mass, self.total_inertia - self.rotor_inertia),
+            Body(0.0, self.rotor_inertia, angle=angles["psi"]),
+        )
+
+    def placement(self, wheelset: Wheelset, angles: Angles) -> Placement:
+        """On the axis of the board, `arm` ahead of the centre of mass."""
+        del angles
+        return Placement(self.arm(wheelset))
+
+    def steering(self, wheelset: Wheelset, joints: Joints) -> Joint:
+        """phi for the front wheelset, -phi for the back one, or phi_back if that is given."""
+        if "phi_back" in joints and wheelset.steering < 0:
+            return joints["phi_back"]
+        return Joint(*(wheelset.steering * part for part in joints["phi"]))
+
+    def inputs_of(self, signals: Mapping[str, AbstractSignal]) -> Gait:
+        """The gait of `signals` phi, psi and, if the back is steered by itself, phi_back."""
+        return Gait(signals["phi"], signals["psi"], signals.get("phi_back"))
+
+    def actuator_torques(self, joints: Joints, yaw_acceleration: Scalar) -> tuple[Scalar, Scalar]:
+        """Torques of steering and rotor, 2 J_w phi'' and J_r (psi'' + rdot) (rows phi and psi of eq. 2)."""
+        steering = 2 * self.wheelset_inertia * joints["phi"].acceleration
+        return steering, self.rotor_inertia * (joints["psi"].acceleration + yaw_acceleration)
+
+    def with_centre_moved(self, ahead: Scalar) -> Self:
+        """The board with `offset` larger by `ahead` [m]."""
+        return eqx.tree_at(lambda b: b.offset, self, self.offset + ahead)
+
+    def outline(self) -> tuple[Stroke, ...]:
+        """The deck, in m."""
+        half = float(self.half_length)
+        return (Stroke(((-half, 0.0), (half, 0.0))),)
 
     def arm(self, wheelset: Wheelset) -> Scalar:
         """Distance [m] of a wheelset ahead of the centre of mass."""

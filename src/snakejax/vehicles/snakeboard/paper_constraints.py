@@ -8,24 +8,27 @@ import numpy as np
 
 from snakejax.core.fast_math import sine_cosine
 from snakejax.core.parameter import Scalar
-from snakejax.dynamics.constraints import AbstractConstraint, NoSlip, State
-from snakejax.dynamics.contact import AppliedForces, Velocities, WheelAngles
-from snakejax.dynamics.inputs import Gait
+from snakejax.dynamics.constraints import AbstractConstraint, State
+from snakejax.dynamics.contact import AppliedForces, Configuration, Velocities
+from snakejax.dynamics.inputs import AbstractInputs, as_gait
 from snakejax.dynamics.vehicle import AbstractVehicle
+
+from .closed_form import NoSlip, as_board, needs_two_wheelsets
 
 
 def integrated_angle(
-    times: np.ndarray, pose: np.ndarray, rate: np.ndarray, board: AbstractVehicle, gait: Gait
+    times: np.ndarray, pose: np.ndarray, rate: np.ndarray, board: AbstractVehicle, gait: AbstractInputs
 ) -> np.ndarray:
     """First guess of (x, y, heading, u, beta, s) (n, 6) by Euler integration of thetadot = (s + D u)/2.
 
     s is the measured yaw rate, u = xdot cos(theta) + ydot sin(theta), and theta = heading at the start.
     """
+    joints = as_gait(gait)
     heading = pose[:, 2]
-    phi = np.asarray(jax.vmap(lambda s: gait.phi.at(s).angle)(jnp.asarray(times)))
-    back_signal = gait.phi_back
+    phi = np.asarray(jax.vmap(lambda s: joints.phi.at(s).angle)(jnp.asarray(times)))
+    back_signal = joints.phi_back
     back = -phi if back_signal is None else np.asarray(jax.vmap(lambda s: back_signal.at(s).angle)(jnp.asarray(times)))
-    D = (np.tan(phi) - np.tan(back)) / (2 * float(board.half_length))
+    D = (np.tan(phi) - np.tan(back)) / (2 * float(as_board(board).half_length))
     theta = np.empty_like(heading)
     theta[0] = heading[0]
     for k in range(len(times)):
@@ -57,7 +60,7 @@ class Coupled(AbstractConstraint):
         zero = jnp.zeros_like(x)
         return (x, y, heading, zero, zero, zero)
 
-    def in_motion(self, start: State, board: AbstractVehicle, steered: WheelAngles) -> State:
+    def in_motion(self, start: State, board: AbstractVehicle, steered: Configuration) -> State:
         del board, steered
         x, y, heading, u, beta, s = start
         return (x, y, heading - beta, beta, u, s)
@@ -66,16 +69,16 @@ class Coupled(AbstractConstraint):
         x, y, theta, beta, _, _ = state
         return x, y, theta + beta
 
-    def twist(self, state: State, board: AbstractVehicle, steered: WheelAngles) -> Velocities:
+    def twist(self, state: State, board: AbstractVehicle, steered: Configuration) -> Velocities:
         x, y, theta, beta, u, s = state
         no_slip = NoSlip.of(board, steered)
         beta_rate = (s - no_slip.D * u) / 2
-        lateral = tuple(board.half_length * beta_rate * c for c in steered.cosines)
+        lateral = tuple(as_board(board).half_length * beta_rate * c for c in steered.cosines)
         rolling = tuple(u / c for c in steered.cosines)
         return Velocities(x, y, theta, theta + beta, u, no_slip.W * u, s, lateral, rolling)
 
     def observed(
-        self, times: np.ndarray, pose: np.ndarray, rate: np.ndarray, board: AbstractVehicle, gait: Gait
+        self, times: np.ndarray, pose: np.ndarray, rate: np.ndarray, board: AbstractVehicle, gait: AbstractInputs
     ) -> np.ndarray:
         return integrated_angle(times, pose, rate, board, gait)
 
@@ -87,9 +90,10 @@ class Coupled(AbstractConstraint):
         return (x, y, theta, beta, east * jnp.cos(theta) + north * jnp.sin(theta), yaw_rate)
 
     def rates(
-        self, state: State, board: AbstractVehicle, steered: WheelAngles, twist: Velocities, loads: AppliedForces
+        self, state: State, board: AbstractVehicle, steered: Configuration, twist: Velocities, loads: AppliedForces
     ) -> State:
         del state
+        board = as_board(board)
         u, w, s = twist.u, twist.w, twist.r
         W, D, W_rate, _ = NoSlip.of(board, steered)
         X, Y, N = loads.wrench
@@ -98,7 +102,7 @@ class Coupled(AbstractConstraint):
         drag = sum(T / c for c, T in zip(cosines, loads.resistance, strict=True))
         m, I = board.mass, board.total_inertia  # noqa: E741
         u_rate = (-m * W * W_rate * u + X + W * Y + D / 2 * G - drag) / (m * (1 + W**2))
-        s_rate = (-board.rotor_inertia * loads.rotor - G / 2 + N) / I
+        s_rate = (-board.rotor_inertia * steered.inputs["psi"].acceleration - G / 2 + N) / I
         sine, cosine = sine_cosine(twist.theta)
         return (
             u * cosine - w * sine,
@@ -134,7 +138,7 @@ class Printed(AbstractConstraint):
         zero = jnp.zeros_like(x)
         return (x, y, heading, zero, zero, zero, zero, zero)
 
-    def in_motion(self, start: State, board: AbstractVehicle, steered: WheelAngles) -> State:
+    def in_motion(self, start: State, board: AbstractVehicle, steered: Configuration) -> State:
         x, y, heading, u, beta, s = start
         theta = heading - beta
         W, D, _, _ = NoSlip.of(board, steered)
@@ -145,17 +149,17 @@ class Printed(AbstractConstraint):
     def pose(self, state: State) -> tuple[Scalar, Scalar, Scalar]:
         return state[0], state[1], state[2] + state[3]
 
-    def twist(self, state: State, board: AbstractVehicle, steered: WheelAngles) -> Velocities:
+    def twist(self, state: State, board: AbstractVehicle, steered: Configuration) -> Velocities:
         x, y, theta, beta, x_rate, y_rate, theta_rate, beta_rate = state
         cosine, sine = jnp.cos(theta), jnp.sin(theta)
         u, w = x_rate * cosine + y_rate * sine, y_rate * cosine - x_rate * sine
-        across = [w + board.arm(wheelset) * (theta_rate - beta_rate) for wheelset in board.wheelsets]
-        lateral = tuple(board.half_length * beta_rate * c for c in steered.cosines)
+        across = [w + as_board(board).arm(wheelset) * (theta_rate - beta_rate) for wheelset in board.wheelsets]
+        lateral = tuple(as_board(board).half_length * beta_rate * c for c in steered.cosines)
         rolling = tuple(u * c + v * s for v, s, c in zip(across, steered.sines, steered.cosines, strict=True))
         return Velocities(x, y, theta, theta + beta, u, w, theta_rate + beta_rate, lateral, rolling)
 
     def observed(
-        self, times: np.ndarray, pose: np.ndarray, rate: np.ndarray, board: AbstractVehicle, gait: Gait
+        self, times: np.ndarray, pose: np.ndarray, rate: np.ndarray, board: AbstractVehicle, gait: AbstractInputs
     ) -> np.ndarray:
         return integrated_angle(times, pose, rate, board, gait)
 
@@ -164,9 +168,10 @@ class Printed(AbstractConstraint):
         return (pose[0], pose[1], pose[2] - beta, beta, rate[0], rate[1], rate[2] - beta_rate, beta_rate)
 
     def rates(
-        self, state: State, board: AbstractVehicle, steered: WheelAngles, twist: Velocities, loads: AppliedForces
+        self, state: State, board: AbstractVehicle, steered: Configuration, twist: Velocities, loads: AppliedForces
     ) -> State:
         x_rate, y_rate, theta_rate, beta_rate = state[4:]
+        board = as_board(board)
         m, I = board.mass, board.total_inertia  # noqa: E741
         rows, coupling, drags = [], [], []
         for wheelset, joint, T in zip(board.wheelsets, steered.joints, loads.resistance, strict=True):
@@ -184,7 +189,7 @@ class Printed(AbstractConstraint):
         M = jnp.array([[m, zero, zero, zero], [zero, m, zero, zero], [zero, zero, I, I], [zero, zero, I, I]])
         X, Y, N = loads.wrench
         cosine, sine = jnp.cos(twist.theta), jnp.sin(twist.theta)
-        yaw = N - board.rotor_inertia * loads.rotor
+        yaw = N - board.rotor_inertia * steered.inputs["psi"].acceleration
         applied = jnp.array([X * cosine - Y * sine, X * sine + Y * cosine, yaw, yaw]) - jnp.sum(
             jnp.array(drags), axis=0
         )
@@ -192,3 +197,6 @@ class Printed(AbstractConstraint):
         right = jnp.concatenate([applied - A.T @ jnp.array(loads.traction), -jnp.array(coupling)])
         accelerations = jnp.linalg.solve(saddle, right)
         return (x_rate, y_rate, theta_rate, beta_rate, *(accelerations[k] for k in range(4)))
+
+    def inapplicable_because(self, board: AbstractVehicle) -> str | None:
+        return needs_two_wheelsets(self, board)

@@ -1,0 +1,112 @@
+"""Single-track car: two axles, the front one steered, driven by a force."""
+
+from typing import ClassVar, Self
+
+import equinox as eqx
+import jax
+
+from snakejax.core.parameter import Scalar, param
+from snakejax.dynamics.constants import GRAVITY
+from snakejax.dynamics.constraints import AbstractConstraint, NonSlipping, Slipping
+from snakejax.dynamics.contact import Motion
+from snakejax.dynamics.inputs import Input
+from snakejax.dynamics.signals import Joint
+from snakejax.dynamics.vehicle import AbstractVehicle, Angles, Body, Joints, Placement, Stroke, Wheelset
+
+DEAD_BAND_WIDTH = 0.01
+"""Width of the smooth edge of the dead band, in units of the command."""
+
+
+class Car(AbstractVehicle):
+    """A car whose left and right wheels are one on each axle (single-track model; Riekert and Schunck 1940).
+
+    The pose is that of its centre of mass, `front` [m] behind the front axle and `rear` [m] ahead of the rear one. With
+    the inputs s (steer) and T (drive), u the forward speed and P(z) = w ln(1 + exp(z / w)), w = `DEAD_BAND_WIDTH`
+
+        steering angle  delta = steering_ratio s
+        driving force   F = force_gain (P(T - c) - P(-T - c)) - speed_loss u        c = dead_band
+
+    of which the front wheels have the share `front_drive`. With the ratio and the gain 1 the inputs are rad and N.
+    """
+
+    noun: ClassVar[str] = "car"
+    inputs: ClassVar[tuple[Input, ...]] = (Input("steer", "angle", "steering"), Input("drive", "command", "drive"))
+    gain_of: ClassVar[dict[str, str]] = {"steer": "steering_ratio", "drive": "force_gain"}
+    friction: ClassVar[float] = 0.8
+    structures: ClassVar[dict[str, type[AbstractConstraint]]] = {"free": Slipping, "ideal": NonSlipping}
+    relaxed: ClassVar[dict[str, str]] = {"ideal": "free"}
+    stated_sd: ClassVar[dict[str, float]] = {"mass": 0.03, "front": 0.02, "rear": 0.02, "inertia": 0.2}
+
+    mass: Scalar = param("kg", positive=True)
+    inertia: Scalar = param("kg m^2", positive=True)
+    front: Scalar = param("m", positive=True)
+    rear: Scalar = param("m", positive=True)
+    creep_speed: Scalar = param("m/s", positive=True, default=0.05)
+    steering_ratio: Scalar = param("-", default=1.0)
+    force_gain: Scalar = param("N", positive=True, default=1.0)
+    dead_band: Scalar = param("-", low=0.0, default=0.0)
+    speed_loss: Scalar = param("N s/m", default=0.0)
+    front_drive: Scalar = param("-", low=0.0, high=1.0, default=0.0)
+    wheelsets: tuple[Wheelset, ...] = (
+        Wheelset(1.0, 1.0, name="front", axle="front", steer="steer"),
+        Wheelset(-1.0, 0.0, name="rear", axle="rear"),
+    )
+    unknown: tuple[str, ...] = eqx.field(static=True, default=())
+
+    @property
+    def estimated(self) -> tuple[str, ...]:
+        """The constants that case.toml leaves to be estimated."""
+        return self.unknown
+
+    @property
+    def total_inertia(self) -> Scalar:
+        """Yaw inertia about the centre of mass [kg m^2]."""
+        return self.inertia
+
+    @property
+    def length(self) -> Scalar:
+        """Half the wheelbase [m]."""
+        return (self.front + self.rear) / 2
+
+    def bodies(self, angles: Angles) -> tuple[Body, ...]:
+        """One body; its centre of mass is the measured point."""
+        del angles
+        return (Body(self.mass, self.inertia),)
+
+    def placement(self, wheelset: Wheelset, angles: Angles) -> Placement:
+        """On the axis of the car."""
+        del angles
+        return Placement(self.front if wheelset.axle == "front" else -self.rear)
+
+    def steering(self, wheelset: Wheelset, joints: Joints) -> Joint:
+        """delta for the front wheels, zero for the rear ones."""
+        return Joint(*(wheelset.steering * self.steering_ratio * part for part in joints["steer"]))
+
+    def load(self, wheelset: Wheelset) -> Scalar:
+        """m g l_r / l in front, m g l_f / l behind [N]."""
+        other = self.rear if wheelset.axle == "front" else self.front
+        return self.mass * GRAVITY * other / (self.front + self.rear)
+
+    def drive(self, motion: Motion) -> tuple[Scalar, ...]:
+        """F by the equation of the class, split between the axles [N]."""
+        command, w, c = motion.inputs["drive"].angle, DEAD_BAND_WIDTH, self.dead_band
+        pulled = w * (jax.nn.softplus((command - c) / w) - jax.nn.softplus((-command - c) / w))
+        force = self.force_gain * pulled - self.speed_loss * motion.u
+        return force * self.front_drive, force * (1 - self.front_drive)
+
+    def with_payload(self, mass: Scalar, inertia: Scalar) -> Self:
+        """The car with a payload of `mass` [kg] and yaw inertia `inertia` [kg m^2] at its centre of mass."""
+        return eqx.tree_at(lambda c: (c.mass, c.inertia), self, (self.mass + mass, self.inertia + inertia))
+
+    def with_centre_moved(self, ahead: Scalar) -> Self:
+        """The car with its axles `ahead` [m] further back."""
+        return eqx.tree_at(lambda c: (c.front, c.rear), self, (self.front - ahead, self.rear + ahead))
+
+    def outline(self) -> tuple[Stroke, ...]:
+        """A rectangle as long as the wheelbase and a third more."""
+        a, b, half = 1.3 * float(self.front), -1.3 * float(self.rear), 0.6 * float(self.length)
+        return (Stroke(((a, half), (b, half), (b, -half), (a, -half), (a, half))),)
+
+
+DART = dict(mass=1.58, inertia=0.008, front=0.0805, rear=0.0930, front_drive=0.536)
+"""The 1:10 car of Lyons et al. 2024 (DART, TU Delft): m [kg], distances of the axles [m]; its inertia is a guess."""

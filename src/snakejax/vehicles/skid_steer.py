@@ -1,0 +1,112 @@
+"""Robot with four fixed driven wheels, left and right pairs: it must skid to turn."""
+
+from typing import ClassVar, Self
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from snakejax.core.parameter import Scalar, param
+from snakejax.dynamics.constraints import AbstractConstraint, NonSlipping, Slipping
+from snakejax.dynamics.inputs import Input
+from snakejax.dynamics.multibody import Phase, Vector
+from snakejax.dynamics.signals import Joint
+from snakejax.dynamics.vehicle import AbstractVehicle, Angles, Body, Joints, Placement, Stroke, Wheelset
+
+
+class DifferentialDrive(NonSlipping):
+    """Wheels that roll without slip on two circles `effective_track` apart (Mandow et al. 2007, symmetric).
+
+    u = (v_right + v_left) / 2    w = 0    r = (v_right - v_left) / effective_track
+    """
+
+    def velocities(self, board: AbstractVehicle, free: Vector, phase: Phase, like: Scalar) -> Vector:
+        del free
+        left = next(rim for rim, wheel in zip(phase.rims, board.wheelsets, strict=True) if wheel.drive == "left")
+        right = next(rim for rim, wheel in zip(phase.rims, board.wheelsets, strict=True) if wheel.drive == "right")
+        width = getattr(board, "effective_track")  # noqa: B009
+        return (left + right) / 2, jnp.zeros_like(like), (right - left) / width
+
+
+class SkidSteer(AbstractVehicle):
+    """Four wheels that cannot be steered, at (+-half_base, +-half_track) [m]; the pairs left and right are driven.
+
+    The inputs `left` and `right` are the speeds of the rims [m/s] divided by `wheel_radius`, so with a radius in m they
+    are spin rates [rad/s]. Each wheel pulls against the slip of its contact, along and across by one law
+    (`combined_slip`). `effective_track` [m] belongs to the structure "ideal" alone, see `DifferentialDrive`.
+    """
+
+    noun: ClassVar[str] = "robot"
+    inputs: ClassVar[tuple[Input, ...]] = (
+        Input("left", "speed", "left_wheels"),
+        Input("right", "speed", "right_wheels"),
+    )
+    independent: ClassVar[tuple[str, ...]] = ()
+    friction: ClassVar[float] = 0.6
+    structures: ClassVar[dict[str, type[AbstractConstraint]]] = {"free": Slipping, "ideal": DifferentialDrive}
+    relaxed: ClassVar[dict[str, str]] = {"ideal": "free"}
+    acts_under: ClassVar[dict[str, str]] = {"effective_track": "ideal"}
+    stated_sd: ClassVar[dict[str, float]] = {"mass": 0.1, "half_base": 0.02, "half_track": 0.02, "inertia": 0.2}
+
+    mass: Scalar = param("kg", positive=True)
+    inertia: Scalar = param("kg m^2", positive=True)
+    half_base: Scalar = param("m", positive=True)
+    half_track: Scalar = param("m", positive=True)
+    wheel_radius: Scalar = param("m", positive=True, default=1.0)
+    effective_track: Scalar = param("m", positive=True, default=1.0)
+    offset: Scalar = param("m", default=0.0)
+    creep_speed: Scalar = param("m/s", positive=True, default=0.05)
+    wheelsets: tuple[Wheelset, ...] = (
+        Wheelset(1.0, name="front_left", axle="front", drive="left"),
+        Wheelset(1.0, name="front_right", axle="front", drive="right"),
+        Wheelset(-1.0, name="rear_left", axle="rear", drive="left"),
+        Wheelset(-1.0, name="rear_right", axle="rear", drive="right"),
+    )
+    unknown: tuple[str, ...] = eqx.field(static=True, default=())
+
+    @property
+    def estimated(self) -> tuple[str, ...]:
+        """The constants that case.toml leaves to be estimated."""
+        return self.unknown
+
+    @property
+    def total_inertia(self) -> Scalar:
+        """Yaw inertia about the centre of mass [kg m^2]."""
+        return self.inertia
+
+    @property
+    def length(self) -> Scalar:
+        """Half the wheelbase [m]."""
+        return self.half_base
+
+    def bodies(self, angles: Angles) -> tuple[Body, ...]:
+        """One body; the pose is that of its centre of mass."""
+        del angles
+        return (Body(self.mass, self.inertia),)
+
+    def placement(self, wheelset: Wheelset, angles: Angles) -> Placement:
+        """A corner of the rectangle of the wheels, whose middle is `offset` behind the centre of mass."""
+        del angles
+        side = 1.0 if wheelset.drive == "left" else -1.0
+        ahead = 1.0 if wheelset.axle == "front" else -1.0
+        return Placement(ahead * self.half_base - self.offset, side * self.half_track)
+
+    def rim(self, wheelset: Wheelset, joints: Joints) -> Joint:
+        """`wheel_radius` times the input of its side."""
+        return Joint(*(self.wheel_radius * part for part in joints[wheelset.drive]))
+
+    def with_payload(self, mass: Scalar, inertia: Scalar) -> Self:
+        """The robot with a payload of `mass` [kg] and yaw inertia `inertia` [kg m^2] at its centre of mass."""
+        return eqx.tree_at(lambda c: (c.mass, c.inertia), self, (self.mass + mass, self.inertia + inertia))
+
+    def with_centre_moved(self, ahead: Scalar) -> Self:
+        """The robot with `offset` larger by `ahead` [m]."""
+        return eqx.tree_at(lambda c: c.offset, self, self.offset + ahead)
+
+    def outline(self) -> tuple[Stroke, ...]:
+        """The rectangle of the wheels."""
+        a, b = float(self.half_base), float(self.half_track)
+        return (Stroke(((a, b), (-a, b), (-a, -b), (a, -b), (a, b))),)
+
+
+HUSKY = dict(mass=50.0, inertia=4.0, half_base=0.255, half_track=0.275, wheel_radius=0.165, effective_track=1.15)
+"""A Clearpath Husky: nominal m [kg] and lengths [m]; the effective track is one fitted to its motion."""
