@@ -32,7 +32,8 @@ def motion(**given: Any) -> Motion:
     """The board at rest at the origin, but for what is given."""
     zero = jnp.zeros(())
     parts: dict[str, Any] = dict.fromkeys(Motion._fields, zero)
-    return Motion(**(parts | {"steering": STILL, "rotor": STILL, "wheels": (), "board": BOARD} | given))
+    joints = {"phi": STILL, "psi": STILL}
+    return Motion(**(parts | {"inputs": joints, "wheels": (), "board": BOARD, "drive": None} | given))
 
 
 def wheel(wheelset: sj.dynamics.Wheelset = FRONT, lateral: Any = 0.0, rolling: Any = 1.0) -> Wheel:
