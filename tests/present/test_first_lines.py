@@ -1,5 +1,6 @@
 """What a reader is told first: how large the error is, in mm, mrad and multiples of the noise, and of which fit."""
 
+import dataclasses
 import json
 import re
 
@@ -8,23 +9,40 @@ import pytest
 from helpers.made_up_explanation import models, result, story
 from helpers.small_case import small
 from rich.console import Console
+from rich.table import Table
 
 from snakejax import Fit, Noise, fit
 from snakejax.cli.simulate import _report as simulated
+from snakejax.diagnosis.latent_force.missing_force import RunForce
 from snakejax.diagnosis.residuals.comparison import ModelScore, compare
 from snakejax.estimation.fit_workspace import problem_of
 from snakejax.estimation.fitting import fit_result
 from snakejax.estimation.goodness_of_fit import Score
 from snakejax.estimation.initialisation import has_converged
 from snakejax.estimation.replay import fitted_starts, replay
+from snakejax.estimation.uncertainty import Estimate
 from snakejax.present import plot
 from snakejax.present.as_json.comparison import comparison_json
 from snakejax.present.as_json.fit import fit_json
 from snakejax.present.as_json.provenance import provenance_json
+from snakejax.present.as_text.columns import (
+    DETECTS,
+    ERROR,
+    EXPECTED,
+    FALL,
+    HEADING,
+    POSITION,
+    REFIT,
+    WINDOWS,
+    narrow,
+    of_heldout,
+)
 from snakejax.present.as_text.comparison import compare_report
 from snakejax.present.as_text.errors import error_text, milli_text, pose_error_text, times_noise, times_noise_text
 from snakejax.present.as_text.explanation import diagnosis_text, explanation_text
+from snakejax.present.as_text.first_lines import value_text
 from snakejax.present.as_text.fit import fit_report
+from snakejax.present.as_text.missing import components_text, determined
 from snakejax.present.report import diagnosis_page, explanation_page, fit_page, tune_page
 from snakejax.present.views import view_of_fit
 
@@ -119,6 +137,127 @@ def test_no_output_calls_a_mean_square_an_error() -> None:
     assert "misfit" not in " ".join(re.findall(r'aria-label="[^"]*"', page))
 
 
+HEADS = ("cause", "error", "validation", "how sure")
+
+
+@pytest.mark.parametrize("verdict", ["explained", "unexplained"])
+def test_terminal_and_page_begin_with_cause_error_validation_and_certainty(verdict) -> None:
+    """In this order, before any table and any chart."""
+    found = story(verdict=verdict)
+    terminal = joined(shown(explanation_text(found)))
+    page = words(explanation_page(found, result(found), models()))
+    page = page[: page.index("Paths, measured and modelled")]
+    for text in (terminal[: terminal.index("step [mm]")], page):
+        places = [text.index(head) for head in HEADS if head != "how sure" or verdict == "unexplained"]
+        assert places == sorted(places), text
+        error = "from 12.3 mm and 1.00 mrad (205 times the noise) to 0.160 mm and 0.130 mrad (2.65 times the noise)"
+        assert error in text and "not used in the fit: from 21.7 mm" in text
+        assert "rotor_gain: The rotor turns further than commanded, or less far. g = 1.000 +- 0.020 mrad" in text
+        assert ("small: explained by ground_slope and rotor_gain" in text) is (verdict == "explained")
+        assert ("No known effect brings the error down to the noise." in text) is (verdict == "unexplained")
+
+
+@pytest.mark.parametrize(
+    ("estimate", "text"),
+    [
+        (Estimate(3.00006e-3, 1.7e-7, "rad", True), "3.000 +- < 0.001 mrad"),
+        (Estimate(-0.0123, 0.0045, "m", True), "-12.3 +- 4.5 mm"),
+        (Estimate(0.150234, 0.00021, "N/m", True), "0.1502 +- 0.00021 N/m"),
+        (Estimate(12345.6, 0.2, "N", True), "12346 +- < 10 N"),
+        (Estimate(0.37, 0.05, "-", True), "0.370 +- 0.050"),
+        (Estimate(1.2, None, "rad", False, True), "1.2 rad"),
+        (Estimate(0.0, 0.5, "N", True), "0.00 +- 0.50 N"),
+    ],
+)
+def test_a_value_in_the_first_lines_has_at_most_four_digits(estimate, text) -> None:
+    assert value_text(estimate) == text
+
+
+def test_a_component_that_the_data_do_not_show_is_not_determined() -> None:
+    """Its estimate is that of the prior: zero, with an error that is the prior's too."""
+    t, one = np.linspace(0.0, 4.0, 40), np.ones(40)
+    force = np.stack([0.2 * np.sin(t), 0.05 * one, 2.8e-8 * np.cos(t)], axis=1)
+    sd = np.stack([0.01 * one, 0.01 * one, 6e-6 * one], axis=1)
+    runs = (RunForce("here", t, force, sd),)
+    assert determined(runs) == (True, True, False)
+    missing = dataclasses.replace(story().missing, runs=runs)
+    assert components_text(missing) == "0.13 N along the board, 0.05 N across it, in yaw not determined"
+    found = dataclasses.replace(story(), missing=missing)
+    page = explanation_page(found, result(found), models())
+    assert "in yaw not determined" in words(page) and "in yaw not determined" in joined(shown(explanation_text(found)))
+    assert {trace["yaxis"] for trace in charts(page)["chart-force-0"]["data"]} == {"y", "y2"}
+    felt_nowhere = (RunForce("here", t, force, np.full_like(sd, np.nan)),)
+    assert determined(felt_nowhere) == (False, False, False)
+
+
+def test_arrows_of_a_force_have_a_scale() -> None:
+    """A bar as long as an arrow of the force that is written beside it."""
+    shares = (("world_position", 0.9),)
+    found = dataclasses.replace(story(), missing=dataclasses.replace(story().missing, depends_on=shares))
+    shafts, _, bar = charts(explanation_page(found, result(found), models()))["chart-shape"]["data"]
+    told = float(re.fullmatch(r" ([\d.]+) N", bar["text"][1])[1])
+    run = found.missing.runs[0]
+    strongest = int(np.argmax(np.hypot(run.force[:, 0], run.force[:, 1])))
+    (x0, x1), (y0, y1) = shafts["x"][3 * strongest : 3 * strongest + 2], shafts["y"][3 * strongest : 3 * strongest + 2]
+    drawn, force = np.hypot(x1 - x0, y1 - y0), np.hypot(*run.force[strongest, :2])
+    assert (bar["x"][1] - bar["x"][0]) / told == pytest.approx(drawn / force, rel=1e-3)
+
+
+def test_one_quantity_has_one_name() -> None:
+    """The columns of the terminal are those of the page; windows and whole runs share no axis."""
+    found = story()
+    page = explanation_page(found, result(found), models())
+    heads = {*re.findall(r'<th scope="col"[^>]*>(.*?)</th>', page)}
+    names = {POSITION, HEADING, ERROR, of_heldout(ERROR), FALL, WINDOWS, REFIT, EXPECTED, DETECTS}
+    assert names <= heads, names - heads
+    terminal = explanation_text(found), diagnosis_text(found.case, found.base)
+    told = [str(column.header) for table in map(tables_in, terminal) for t in table for column in t.columns]
+    assert {narrow(name) for name in names - {FALL}} <= {*told}
+    drawn = charts(page)
+    assert drawn["chart-expected"]["layout"]["xaxis"]["title"]["text"] == WINDOWS
+    assert drawn["chart-suspects"]["layout"]["xaxis"]["title"]["text"] == REFIT
+    assert drawn["chart-suspects"]["layout"]["shapes"][0]["x0"] == pytest.approx(np.sqrt(4.2e4)), "the base"
+
+
+def tables_in(part) -> list[Table]:
+    if isinstance(part, Table):
+        return [part]
+    return [table for one in getattr(part, "renderables", ()) for table in tables_in(one)]
+
+
+def test_residuals_are_shown_before_and_after_in_millimetres() -> None:
+    found = story()
+    drawn = charts(explanation_page(found, result(found), models()))
+    for step in ("0", "2"):
+        chart = drawn[f"chart-residual-0-{step}"]
+        titles = [chart["layout"][axis]["title"]["text"] for axis in ("yaxis", "yaxis2", "yaxis3")]
+        assert titles == ["x<br>[mm]", "y<br>[mm]", "heading<br>[mrad]"]
+        scene = models()[int(step)].scenes[0]
+        left = 1e3 * (scene.measured - scene.pose)
+        for c in (0, 1):
+            expected = left[:: max(len(left) // 400, 1), c]
+            shown_values = np.array([np.nan if v is None else v for v in chart["data"][c]["y"]])
+            assert np.allclose(shown_values, expected, atol=1e-4, equal_nan=True)
+
+
+def test_an_interval_ends_at_the_bounds_which_stand_beside_it() -> None:
+    case, noise, found = small()
+    loose = dataclasses.replace(found, estimates={**found.estimates, "tyre.D": Estimate(2.0, 9.0, "N", False)})
+    made = fit_json(case, noise, loose, provenance_json(0, {}, {}))
+    page = fit_page(case, noise, loose, made, view_of_fit(found))
+    row = re.search(r"<tr>(<td[^>]*>D</td>.*?)</tr>", page)[1]
+    cells = re.findall(r"<td[^>]*>(.*?)</td>", row)
+    start = 0.2 * float(case.board.mass) * 9.81 / 2
+    assert (
+        cells[4].startswith("0.0 to ")
+        and cells[-1] == "at least 0"
+        and float(cells[-2]) == pytest.approx(start, rel=1e-3)
+    )
+    assert "0.0 to " in joined(shown(fit_report(case, noise, loose))) and "-15" not in shown(
+        fit_report(case, noise, loose)
+    )
+
+
 def heights(axis) -> list[float]:
     return [bar.get_height() for bar in axis.patches]
 
@@ -130,9 +269,9 @@ def test_pictures_show_the_root() -> None:
         assert axis.get_ylabel() == "error, multiples of the noise"
         assert sorted(heights(axis)) == pytest.approx(sorted(np.sqrt([4.2e4, 1.3e5, 312.0, 417.0, 7.04, 9.5])))
         assert {"205", "17.7", "2.65"} <= {text.get_text() for text in axis.texts}
-    axis = plot.ranking(story().base).axes[0]
-    assert axis.get_xlabel() == "error, multiples of the noise"
-    refitted = np.asarray(axis.collections[1].get_offsets().compressed()).reshape(-1, 2)[:, 0]
+    windows, axis, _ = plot.ranking(story().base).axes
+    assert (windows.get_xlabel(), axis.get_xlabel()) == (WINDOWS, REFIT)
+    refitted = np.asarray(axis.collections[0].get_offsets().compressed()).reshape(-1, 2)[:, 0]
     assert sorted(refitted) == pytest.approx(sorted(np.sqrt([312.0, 340.0, 2.1e4])))
 
 
@@ -211,7 +350,7 @@ def test_a_fit_that_did_not_converge_is_said_to_have_not(verdict) -> None:
     assert "did not converge" in rows["base"] and "did not converge" in rows["added rotor_gain"]
     assert rows["added ground_slope"].rstrip().endswith("20.4")
     text = joined(text)
-    assert "or less far. g = 0.001000 +- 0.000020 rad (its fit did not converge)" in text
+    assert "or less far. g = 1.000 +- 0.020 mrad (its fit did not converge)" in text
     assert f"! {LINE}" in text and text.index(LINE) < text.index("step [mm]")
     assert re.search(r"quadratic_drag\S* 3e-40 3\.07 145\* ", text) and "*: this refit did not converge" in text
     good = joined(shown(explanation_text(story(verdict=verdict))))
@@ -249,12 +388,12 @@ def test_the_report_says_it_beside_the_verdict_and_at_every_table_and_chart(verd
         f"2. added rotor_gain {bad}",
     ]
     # Each chart in which a curve of such a fit is drawn names it so, and no other.
-    for chart in ("path-0", "against-slip", "against-speed", "tyre"):
+    for chart in ("path-0", "autocorrelation", "tyre"):
         names = {t["name"] for t in drawn[f"chart-{chart}"]["data"] if (t.get("meta") or {}).get("step")}
         assert all((bad in name) == ("rotor_gain" in name or "base" in name) for name in names), chart
     suspects = {t["name"]: t["x"] for t in drawn["chart-suspects"]["data"]}
-    assert [x for x in suspects["refit did not converge"] if x] == pytest.approx(np.sqrt([2.1e4, 312.0]))
-    assert [x for x in suspects["refitted"] if x] == pytest.approx([np.sqrt(340.0)])
+    assert suspects["refit did not converge"] == pytest.approx(np.sqrt([2.1e4, 312.0]))
+    assert suspects["refitted"] == pytest.approx([np.sqrt(340.0)])
     assert "converge" not in words(explanation_page(story(verdict=verdict), result(story(verdict=verdict)), models()))
 
 
@@ -331,8 +470,8 @@ def test_pictures_say_it() -> None:
     legend = [text.get_text() for text in plot.fall(found, models(found)).axes[0].get_legend().get_texts()]
     assert ["did not converge" in label for label in legend] == [False, True, True]
     figure = plot.ranking(found.base)
-    assert "refit of whole runs did not converge" in [text.get_text() for text in figure.legends[0].get_texts()]
-    marks = figure.axes[0].collections
+    assert "refit did not converge" in [text.get_text() for text in figure.legends[0].get_texts()]
+    marks = figure.axes[1].collections
     places = [np.asarray(mark.get_offsets().compressed()).reshape(-1, 2)[:, 0] for mark in marks]
-    assert [*map(sorted, places[1:])] == [[pytest.approx(np.sqrt(340.0))], pytest.approx(np.sqrt([312.0, 2.1e4]))]
-    assert len(plot.ranking(story().base).axes[0].collections) == 2
+    assert [*map(sorted, places)] == [[pytest.approx(np.sqrt(340.0))], pytest.approx(np.sqrt([312.0, 2.1e4]))]
+    assert len(plot.ranking(story().base).axes[1].collections) == 1

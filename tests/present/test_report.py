@@ -79,6 +79,24 @@ def test_the_story_of_what_nothing_known_explains(browser, tmp_path) -> None:
     assert page.evaluate(beyond) == []
 
 
+@pytest.mark.parametrize(("phone", "buttons"), [(True, False), (False, True)])
+def test_the_buttons_of_a_chart_do_not_lie_on_a_phone(browser, tmp_path, phone, buttons) -> None:
+    """Where there is no mouse they would always be there, over the data; in print they never are."""
+    file = written(tmp_path, explanation_page(story(), result(), models()))
+    context = browser.new_context(viewport={"width": 390, "height": 800}, has_touch=phone, is_mobile=phone)
+    page = context.new_page()
+    page.goto(file.as_uri())
+    page.wait_for_selector("html[data-charts=yes]")
+    chart = page.query_selector("#chart-falling")
+    chart.scroll_into_view_if_needed()
+    chart.wait_for_selector(".main-svg", state="attached")
+    seen = "() => [...document.querySelectorAll('#chart-falling .modebar')].some(e => e.getBoundingClientRect().width)"
+    assert page.evaluate(seen) is buttons
+    page.emulate_media(media="print")
+    assert page.evaluate(seen) is False
+    context.close()
+
+
 @pytest.mark.parametrize(
     ("value", "sd", "shown"),
     [

@@ -1,5 +1,6 @@
 """Is it noise? The portmanteau test of a residual with gaps."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -53,3 +54,27 @@ def portmanteau(residual: Float[np.ndarray, " n"], lags: int = LAGS) -> tuple[fl
     used = pairs > 0
     statistic = (N + 2) / N * float((products[used] ** 2 / (pairs[used] * square**2)).sum())
     return statistic, int(used.sum()), float(stats.chi2.sf(statistic, used.sum()))
+
+
+def autocorrelation(
+    residuals: Sequence[Float[np.ndarray, " n"]], lags: int
+) -> tuple[Float[np.ndarray, " lags"], float]:
+    """The autocorrelation (lags,) of the residuals of several runs together at lags from 0 on, and its 95% bound.
+
+    With the n_k pairs of samples at lag k of which both are present, in all runs, and the mean square s^2,
+
+        rho_k = sum of e_t e_{t+k} / (n_k s^2)
+
+    The mean is not taken out. White noise stays within the bound 1.96 / sqrt(n_1) at 95% of the lags. NaN where there
+    are no pairs.
+    """
+    products, pairs = np.zeros(lags), np.zeros(lags)
+    for residual in residuals:
+        present = np.isfinite(residual)
+        e = np.where(present, residual, 0.0)
+        for k in range(min(lags, e.size)):
+            products[k] += e[k:] @ e[: e.size - k]
+            pairs[k] += (present[k:] & present[: e.size - k]).sum()
+    with np.errstate(invalid="ignore", divide="ignore"):
+        square = products[0] / pairs[0]
+        return products / (pairs * square), float(1.96 / np.sqrt(pairs[1]))

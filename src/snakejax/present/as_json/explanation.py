@@ -14,6 +14,7 @@ from snakejax.diagnosis.selection.steps import CandidateScore, SelectionStep
 from snakejax.estimation.uncertainty import Estimate
 from snakejax.recording.run import Case, Noise
 
+from ..as_text.columns import ERROR, HEADING, POSITION, narrow, of_heldout
 from ..as_text.errors import error_text, milli_text, times_noise_text
 from ..as_text.tables import NOT_CONVERGED, add_row, not_converged_line, plain_table
 from .provenance import constraint_kind, heading_json, model_kind
@@ -182,7 +183,7 @@ def ranked_json(row: CandidateScore) -> Json:
 
 def _steps(explanation: Explanation) -> Table:
     """The root mean square error after each step, and its multiple of the noise."""
-    right = ("position\n[mm]", "heading\n[mrad]", "error\n/ noise", "held out\n/ noise")
+    right = tuple(map(narrow, (POSITION, HEADING, ERROR, of_heldout(ERROR))))
     table = plain_table("step", *right, "", right=right)
     for step in explanation.steps:
         held = step.heldout

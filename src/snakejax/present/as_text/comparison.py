@@ -8,6 +8,7 @@ from rich.text import Text
 
 from snakejax.diagnosis.residuals.comparison import Comparison, ModelScore
 
+from .columns import ERROR, HEADING, POSITION, narrow, of_heldout
 from .errors import milli_text, times_noise_text
 from .tables import NOT_CONVERGED, add_row, indented, plain_table
 
@@ -35,15 +36,14 @@ def shares_table(comparison: Comparison) -> Table:
 
 def sides_table(sides: Sequence[ModelScore]) -> Table:
     """Several models fitted to the same runs."""
-    right = ("error\n/ noise", "held out\n/ noise", "position\n[mm]", "heading\n[mrad]")
+    right = tuple(map(narrow, (ERROR, of_heldout(ERROR), POSITION, HEADING)))
     table = plain_table("model", *right, "", right=right)
     for side in sides:
         if side.train is None:
             add_row(table, side.model, side.failure or "failed")
             continue
-        shown = side.heldout or side.train
         heldout = times_noise_text(side.heldout and side.heldout.misfit)
-        errors = (milli_text(shown.position_m), milli_text(shown.heading_rad))
+        errors = (milli_text(side.train.position_m), milli_text(side.train.heading_rad))
         note = NOT_CONVERGED if side.converged is False else ""
         add_row(table, side.model, times_noise_text(side.train.misfit), heldout, *errors, note)
     return table

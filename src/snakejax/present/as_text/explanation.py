@@ -1,20 +1,23 @@
 """A diagnosis or an explanation as text."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 from rich.console import Group, RenderableType
+from rich.table import Table
 from rich.text import Text
 
 from snakejax.core.tabular import listed
 from snakejax.diagnosis.explanation import Explanation
-from snakejax.diagnosis.residuals.horizon import horizon_errors
 from snakejax.diagnosis.selection.steps import SelectionStep
-from snakejax.estimation.uncertainty import Estimate
 from snakejax.recording.run import Case
 
 from ..as_json.explanation import _steps, _warned, base_headline, coexisting_effects
-from .errors import error_text, pose_error_text, times_noise_text
-from .tables import NOT_CONVERGED, add_row, number, plain_table
+from .certainty import band_sentences, floor_sentences, horizon_sentences, odd_run_sentences
+from .columns import DETECTS, EXPECTED, PREDICTED, REFIT, WINDOWS, narrow
+from .errors import times_noise_text
+from .first_lines import first_lines, title, values_text
+from .missing import components_text
+from .tables import NOT_CONVERGED, add_row, error, named, note, number, plain_table, unit_text
 
 CLOSE = 0.9
 """A variable whose share is at least this part of the best one's may be the cause as well."""
@@ -23,16 +26,15 @@ CLOSE = 0.9
 def explanation_text(explanation: Explanation) -> RenderableType:
     """The verdict, the effects with their estimates, the error after each step, and the candidates."""
     lines: list[RenderableType] = [
-        Text(headline(explanation)),
+        Text(title(explanation), style="bold"),
+        _first(explanation),
         *_warned(explanation.steps),
         Text(""),
         _steps(explanation),
+        Text(""),
+        _parameters(explanation),
+        Text(""),
     ]
-    note = "" if explanation.final.converged else f" (its fit {NOT_CONVERGED})"
-    for effect in explanation.partial if explanation.verdict == "unexplained" else explanation.effects:
-        values = _values(explanation.final.estimates_of(effect))
-        lines.append(Text(f"{effect}: {explanation.final.description_of(effect)} {values}{note}"))
-        lines += [Text(f"  {line}", style="dim") for line in confidence_sentences(explanation, effect)]
     beside = (floor_sentences, horizon_sentences, band_sentences, odd_run_sentences)
     lines += [Text(line) for sentences in beside for line in sentences(explanation)]
     lines += [Text(line) for line in confusable_sentences(explanation.base, explanation.effects)]
@@ -42,116 +44,38 @@ def explanation_text(explanation: Explanation) -> RenderableType:
     return Group(*lines)
 
 
-def confidence_sentences(explanation: Explanation, effect: str) -> Iterator[str]:
-    """How sure an effect is, and what share of the error it takes away."""
-    word = explanation.confidence.get(effect)
-    if word is None:
-        return
-    twins = {row.effect: None for row in explanation.candidates if effect in row.instead_of}
-    others = listed(tuple(twins), "or") if twins else "another effect"
-    exact = word == "sure" and explanation.floor is None
-    yield SURE_WHERE_EXACT if exact else CONFIDENCE[word].format(others=others)
-    share = explanation.share.get(effect)
-    if share is not None:
-        runs = "train" if explanation.final.heldout is None else "held-out"
-        yield f"It takes away {percent(share)} of the squared error of the {runs} runs."
+def _first(explanation: Explanation) -> Table:
+    """The first lines, beside their headings."""
+    table = Table.grid(padding=(0, 2))
+    table.add_column(no_wrap=True, style="bold")
+    table.add_column()
+    for head, line in first_lines(explanation):
+        table.add_row(head, Text(line))
+    return table
 
 
-CONFIDENCE = {
-    "sure": "Sure: it would be significant even if a fiftieth of the forces were something else.",
-    "likely": "Likely: it is significant, and runs that were left out are predicted better with it.",
-    "stand_in": "It may stand in for something else, such as a constant that is not as stated.",
-    "ambiguous": "Ambiguous: {others} would explain the runs nearly as well.",
-}
-"""What the words of `confidence` mean."""
-SURE_WHERE_EXACT = "Sure: with it only noise is left, and no other candidate does as well."
-"""The same of an effect that leaves only noise."""
-
-
-def percent(share: float) -> str:
-    """A share in percent, with as many nines as it has."""
-    for digits in range(5):
-        if abs(1.0 - share) >= 10.0 ** -(digits + 2) or share > 1.0:
-            return f"{100 * share:.{digits}f}%"
-    return f"{100 * share:.4f}%"
-
-
-def floor_sentences(explanation: Explanation) -> Iterator[str]:
-    """What vehicle and cameras leave by themselves, and the constants that were estimated."""
-    floor = explanation.floor
-    if floor is None:
-        return
-    noise = pose_error_text(*(float(part) for part in (explanation.noise.position, explanation.noise.heading)))
-    yield (
-        f"Of whole runs, {floor.source} leave {pose_error_text(floor.position_m, floor.heading_rad)} by themselves;"
-        f" the noise of a sample is {noise}."
-    )
-    if explanation.constants:
-        parts = [
-            f"{name} = {number(e.value, e.sd)} +- {number(e.sd, e.sd)}{_unit(e)}"
-            for name, e in explanation.constants.items()
-        ]
-        yield f"The constants of the board were estimated within what is known of them: {', '.join(parts)}."
-
-
-def horizon_sentences(explanation: Explanation) -> Iterator[str]:
-    """How far a simulation is off some seconds after a known pose, and whether that is what the user needs."""
-    final, needed = explanation.final, explanation.case.needed
-    role = "train" if final.heldout is None else "heldout"
-    runs = "train" if final.heldout is None else "held-out"
-    errors = horizon_errors(final.fitted, role)
-    if errors:
-        parts = [f"{pose_error_text(e.position_m, e.heading_rad)} after {e.seconds:g} s" for e in errors]
-        yield (
-            f"From a known pose, simulations of {runs} runs are off by {', '.join(parts)}, the noise of both poses"
-            " included."
-        )
-    if needed is None:
-        return
-    wanted = pose_error_text(needed.position, needed.heading)
-    for error in horizon_errors(final.fitted, role, [needed.horizon]):
-        enough = error.position_m <= needed.position and error.heading_rad <= needed.heading
-        there = pose_error_text(error.position_m, error.heading_rad)
-        words = "Good enough" if enough else "Not good enough"
-        yield f"{words} for {wanted} in {needed.horizon:g} s: the error is {there}."
-        return
-    yield f"No run is long enough to say whether it is good enough for {wanted} in {needed.horizon:g} s."
-
-
-def band_sentences(explanation: Explanation) -> Iterator[str]:
-    """What share of the runs lies inside the bands of the predictions."""
-    for role, name in (("heldout", "held-out"), ("train", "train")):
-        inside = [band.inside for band in explanation.bands if band.role == role]
-        if inside:
-            mean = 100 * sum(inside) / len(inside)
-            yield f"The 95% bands of predictions from the start of each run hold {mean:.1f}% of the {name} samples."
-            return
-
-
-def odd_run_sentences(explanation: Explanation) -> Iterator[str]:
-    """The runs that differ from the others, and by what."""
-    for odd in explanation.odd_runs:
-        value = f"{number(odd.shift, odd.sd)} +- {number(odd.sd, odd.sd)}"
-        alike = f", or {listed(odd.alike, 'or')}," if odd.alike else ""
-        yield (
-            f"Run {odd.run} differs from the others, as if {odd.parameter}{alike} were {value} more there"
-            f" (p = {odd.p_value:.1g}). Look at this run, or leave it out."
-        )
+def _parameters(explanation: Explanation) -> RenderableType:
+    """The parameters of the final model with their standard errors."""
+    table = plain_table("parameter", "value", "+-", "unit", "", right=("value", "+-"))
+    for name, estimate in explanation.final.estimates.items():
+        cells = named(name), number(estimate.value, estimate.sd), error(estimate.sd), estimate.unit, note(estimate)
+        add_row(table, *cells, style=None if estimate.determined else "yellow")
+    return table
 
 
 def _dependence(explanation: Explanation) -> RenderableType:
     """The size of the missing force, and the variables on which it depends."""
     missing = explanation.missing
     assert missing is not None
-    push, turn = missing.size
     table = plain_table("the missing force depends on", "share", right=("share",))
     for variable, share in missing.depends_on[:4]:
         add_row(table, variable, f"{100 * share:.0f} %")
-    size = f"The missing force is {number(push)} N along the board and {number(turn)} N m in yaw (root mean square)."
+    size = f"The missing force, root mean square: {components_text(missing)}."
     if missing.switched:
         size += " It is estimated with separately slipping wheelsets, where it is smaller than with coupled ones."
+    known = explanation.final.description_of
     survivors = [
-        Text(f"Still significant beside it: {effect}: {explanation.final.description_of(effect)} {_values(estimates)}")
+        Text(f"Still significant beside it: {effect}: {known(effect)} {values_text(estimates)}")
         for effect, estimates in coexisting_effects(explanation).items()
     ]
     if missing.shape is None:
@@ -201,37 +125,6 @@ def _left_out(step: SelectionStep) -> Iterator[str]:
         yield f"Excluded: {name}: {why.rstrip('.')}."
 
 
-def _values(estimates: Mapping[str, Estimate]) -> str:
-    parts = [f"{name} = {number(e.value, e.sd)} +- {number(e.sd, e.sd)}{_unit(e)}" for name, e in estimates.items()]
-    return ", ".join(parts)
-
-
-def _unit(estimate: Estimate) -> str:
-    return "" if estimate.unit == "-" else f" {estimate.unit}"
-
-
-def headline(explanation: Explanation) -> str:
-    """The verdict in one sentence."""
-    base, final = explanation.base, explanation.final
-    if explanation.verdict == "adequate":
-        if explanation.floor is not None:
-            return (
-                f"{explanation.case.name}: adequate. No effect is missing: what the model leaves is like noise of the"
-                f" vehicle itself, {error_text(final.train)}."
-            )
-        return f"{explanation.case.name}: adequate. The base model leaves only noise: {error_text(base.train)}."
-    unseen = "" if final.heldout is None else f", on held-out runs to {error_text(final.heldout)}"
-    fall = f"the root mean square error falls from {error_text(base.train)} to {error_text(final.train)}{unseen}"
-    if explanation.verdict == "explained":
-        return f"{explanation.case.name}: explained by {listed(explanation.effects)}; {fall}."
-    lacking = "No known effect brings the error down to the noise."
-    if explanation.effects:
-        known = listed(explanation.effects)
-        lacking = f"With {known} in the model there remains a force that no known effect explains."
-    helped = f" With {listed(explanation.final.effects)} {fall}." if explanation.final.effects else ""
-    return f"{explanation.case.name}: unexplained. {lacking}{helped}"
-
-
 def candidate_table(step: SelectionStep, most: int = 6, detectable: bool = False) -> RenderableType:
     """The first `most` candidates: p, remaining error in multiples of the noise, and expected value.
 
@@ -239,8 +132,8 @@ def candidate_table(step: SelectionStep, most: int = 6, detectable: bool = False
     error of whole runs, otherwise the residual of short windows.
     """
     near = step.predicted_of_runs
-    titles = ("p", f"{'predicts' if near else 'windows'}\n/ noise", "refit\n/ noise")
-    table = plain_table("candidate", *titles, "expected", *["detects"] * detectable, right=(*titles, "detects"))
+    titles = ("p", narrow(PREDICTED if near else WINDOWS), narrow(REFIT))
+    table = plain_table("candidate", *titles, EXPECTED, *[DETECTS] * detectable, right=(*titles, DETECTS))
     for ranked in step.ranking[:most]:
         p_value = "" if ranked.p_value is None else f"{ranked.p_value:.1g}" if ranked.p_value else "< 1e-300"
         star = "*" if ranked.converged is False else ""
@@ -248,7 +141,7 @@ def candidate_table(step: SelectionStep, most: int = 6, detectable: bool = False
         first = p_value, times_noise_text(ranked.predicted_misfit), refit
         rows = ranked.estimate or {"": None}
         for place, (name, estimate) in enumerate(rows.items()):
-            words = "" if estimate is None else f"{estimate.value:.2g} +- {estimate.sd:.1g}{_unit(estimate)}"
+            words = "" if estimate is None else f"{estimate.value:.2g} +- {estimate.sd:.1g}{unit_text(estimate)}"
             detects = [f"{ranked.detectable[name]:.2g}" if name else ""] * detectable
             label = f"{ranked.effect}.{name}".rstrip(".")
             add_row(table, label, *(first if place == 0 else ("",) * 3), words, *detects)

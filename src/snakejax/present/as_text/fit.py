@@ -14,13 +14,15 @@ from snakejax.estimation.uncertainty import Estimate
 from snakejax.recording.run import Case, Noise, Run
 
 from ..as_json.provenance import constraint_kind, model_kind
+from .columns import CHANNELS, ERROR, HEADING, POSITION, narrow
 from .errors import error_text, milli_text, times_noise_text
-from .tables import Interval, add_row, error, indented, interval_text, named, note, number, plain_table
+from .tables import Interval, add_row, clipped, error, indented, interval_text, named, note, number, plain_table
 
 
 def fit_table(fit: Fit, intervals: Mapping[str, Interval] | None = None) -> Table:
     """Every estimate with its standard error, unit, 95% interval and a note; then the fixed parameters."""
     table = plain_table("parameter", "value", "+-", "unit", "95% interval", "note", right=("value", "+-"))
+    known = parameters(fit.model)
     for name, estimate in fit.estimates.items():
         profiled = (intervals or {}).get(name)
         remarks = ", ".join(filter(None, (note(estimate), "by profile" if profiled else "")))
@@ -30,7 +32,9 @@ def fit_table(fit: Fit, intervals: Mapping[str, Interval] | None = None) -> Tabl
             number(estimate.value, estimate.sd),
             error(estimate.sd),
             estimate.unit,
-            interval_text(profiled or estimate.interval(), estimate.sd),
+            interval_text(clipped(profiled or estimate.interval() or (None, None), known[name].domain), estimate.sd)
+            if profiled or estimate.interval()
+            else "",
             remarks,
             style="yellow" if not estimate.determined else None,
         )
@@ -53,8 +57,7 @@ def held(model: Model, estimates: Mapping[str, Estimate]) -> list[tuple[str, flo
 
 def runs_table(scores: Sequence[RunScore]) -> Table:
     """The root mean square errors of each run, and their multiples of the noise, of all channels and of each."""
-    right = ("position\n[mm]", "heading\n[mrad]", "error\n/ noise", "x\n/ noise", "y\n/ noise", "heading\n/ noise")
-    right = (*right, "worst\nat [s]")
+    right = (*map(narrow, (POSITION, HEADING, ERROR, *CHANNELS)), "worst\nat [s]")
     table = plain_table("run", *right, right=right)
     for role, title in (("train", "train"), ("heldout", "held out")):
         of_role = [s for s in scores if s.role == role]

@@ -9,6 +9,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from snakejax.core.parameter import Domain
 from snakejax.estimation.uncertainty import Estimate
 
 from ..as_json.values import short
@@ -50,11 +51,35 @@ def interval_text(interval: Interval | None, sd: float | None = None) -> str:
     return f"{'-inf' if low is None else number(low, sd)} to {'inf' if high is None else number(high, sd)}"
 
 
+def clipped(interval: Interval, domain: Domain | None) -> Interval:
+    """`interval` within the bounds of `domain`: beyond them there is no value. Open ends stay open."""
+    if domain is None:
+        return interval
+    low, high = interval
+    least = 0.0 if domain.positive else domain.low
+    return None if low is None else max(low, least), None if high is None else min(high, domain.high)
+
+
+def bounds_text(domain: Domain) -> str:
+    """The bounds of a parameter: `above 0`, `0 to 2`, `at most 1`, `none`."""
+    low, high = domain.low, domain.high
+    if np.isinf(low) and np.isinf(high):
+        return "above 0" if domain.positive else "none"
+    if np.isinf(low):
+        return f"{'above 0, ' if domain.positive else ''}at most {high:g}"
+    return f"at least {low:g}" if np.isinf(high) else f"{low:g} to {high:g}"
+
+
 def note(estimate: Estimate) -> str:
     """A warning about an estimate; empty where there is none."""
     if estimate.at_bound:
         return "at its bound"
     return "" if estimate.determined else "cannot be determined"
+
+
+def unit_text(estimate: Estimate) -> str:
+    """The unit behind a number; empty for a pure number."""
+    return "" if estimate.unit == "-" else f" {estimate.unit}"
 
 
 def plain_table(*columns: str, right: Sequence[str] = ()) -> Table:

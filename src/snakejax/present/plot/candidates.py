@@ -5,6 +5,7 @@ from matplotlib.figure import Figure
 
 from snakejax.diagnosis.selection.steps import SelectionStep
 
+from ..as_text.columns import PREDICTED, REFIT, WINDOWS
 from ..as_text.errors import times_noise
 from ..as_text.tables import NOT_CONVERGED
 from ..style import TRAIN
@@ -13,27 +14,28 @@ SMALLEST = 1e-300
 
 
 def ranking(base: SelectionStep) -> Figure:
-    """Left, the error that each candidate would leave, in multiples of the noise: an open mark as predicted, a full one
-    as refitted. Right, p.
+    """Left, the error that each candidate would leave by the linear model, of short windows or of whole runs; middle,
+    that of its refit on whole runs, with the base; both in multiples of the noise. Right, p.
     """
     shown = list(base.ranking)[::-1]
-    figure = Figure(figsize=(9.0, 1.7 + 0.24 * len(shown)), layout="constrained")
-    left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.6, 1.0))
+    figure = Figure(figsize=(10.0, 1.7 + 0.24 * len(shown)), layout="constrained")
+    left, middle, right = figure.subplots(1, 3, sharey=True, width_ratios=(1.0, 1.0, 1.0))
     places = np.arange(len(shown))
     predicted = np.array([times_noise(one.predicted_misfit) for one in shown], float)
     refitted = np.array([times_noise(one.refit_misfit) for one in shown], float)
-    left.scatter(predicted, places, facecolors="none", edgecolors=TRAIN, label="predicted, of short windows")
+    left.scatter(predicted, places, facecolors="none", edgecolors=TRAIN)
     short = np.array([one.converged is False for one in shown])
-    left.scatter(np.where(short, np.nan, refitted), places, c=TRAIN, label="refitted, of whole runs")
+    middle.scatter(np.where(short, np.nan, refitted), places, c=TRAIN, label="refitted")
     if short.any():
-        label = f"refit of whole runs {NOT_CONVERGED}"
-        left.scatter(np.where(short, refitted, np.nan), places, c=TRAIN, marker="x", label=label)
-    left.axvline(1.0, color="0.2", lw=1, ls=":")
-    left.set_xscale("log")
+        label = f"refit {NOT_CONVERGED}"
+        middle.scatter(np.where(short, refitted, np.nan), places, c=TRAIN, marker="x", label=label)
+    middle.axvline(base.train.times_noise, color="0.2", lw=1, ls=":", label="base")
+    for axis, title in ((left, PREDICTED if base.predicted_of_runs else WINDOWS), (middle, REFIT)):
+        axis.set_xscale("log")
+        axis.set(xlabel=title)
+        axis.grid(axis="y", color="0.9", lw=0.6)
     left.set_yticks(places, [one.effect for one in shown], fontsize="small")
-    left.set(xlabel="error, multiples of the noise")
-    left.grid(axis="y", color="0.9", lw=0.6)
-    figure.legend(*left.get_legend_handles_labels(), fontsize="small", loc="outside upper left", ncols=3)
+    figure.legend(*middle.get_legend_handles_labels(), fontsize="small", loc="outside upper center", ncols=3)
     sure = [np.nan if one.p_value is None else -np.log10(max(one.p_value, SMALLEST)) for one in shown]
     right.barh(places, sure, color=TRAIN)
     right.set(xlabel="-log10 p, corrected for their number")

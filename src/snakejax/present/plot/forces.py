@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from snakejax.diagnosis.explanation import Explanation
 from snakejax.estimation.fit_record import Fit
 
+from ..as_text.missing import determined
 from ..style import COMPONENTS, FORCES, MATPLOTLIB, TRAIN
 from ..views import ModelView
 from .paths import models_of, titled
@@ -53,12 +54,13 @@ def missing(explanation: Explanation) -> Figure:
     above = figure.add_subfigure(grid[0])
     below = figure.add_subfigure(grid[1])
     axes = above.subplots(len(runs), 3, sharex=True, squeeze=False)
+    shown = determined(runs)
     for row, run in zip(axes, runs, strict=True):
         for k, (axis, name, look) in enumerate(zip(row, COMPONENTS, FORCES, strict=True)):
             force, sd = run.force[:, k], run.sd[:, k]
-            if not np.isfinite(sd).any():
-                axis.annotate("not observable with this structure", (0.5, 0.5), xycoords="axes fraction", ha="center")
-                force = np.full_like(force, np.nan)
+            if not shown[k]:
+                axis.annotate("not determined", (0.5, 0.5), xycoords="axes fraction", ha="center")
+                force = sd = np.full_like(force, np.nan)
             axis.fill_between(run.t, force - 1.96 * sd, force + 1.96 * sd, color=look.colour, alpha=0.25, lw=0)
             axis.plot(run.t, force, color=look.colour, lw=1)
             axis.set_ylabel(name, fontsize="small")

@@ -13,25 +13,28 @@ from snakejax.recording.run import Noise
 
 from ..as_json.explanation import base_headline, warnings
 from ..as_json.values import Json
-from ..as_text.errors import error_text
-from ..as_text.explanation import (
+from ..as_text.certainty import (
     band_sentences,
     confidence_sentences,
     floor_sentences,
-    headline,
     horizon_sentences,
     odd_run_sentences,
 )
+from ..as_text.errors import error_text
+from ..as_text.first_lines import first_lines, title
 from ..as_text.fit import noise_line
+from ..as_text.missing import components_text
 from ..as_text.tables import not_converged_line
 from ..views import ModelView, view_of_step
 from . import charts as figures
 from . import sections as sections
+from .candidates import candidates
 from .certainty import certainty
 from .design import tune_page
 from .page import Model, Page, Section, render
 from .parameters import parameters
 from .player import movie
+from .residuals import residuals
 from .sweep import sweep_page
 
 
@@ -43,14 +46,15 @@ def fit_page(case: Case, noise: Noise, found: Fit, result: Json, model: ModelVie
     told = f"{case.name}: the root mean square error of the model is {error_text(train)}{unseen}."
     parts = (
         sections.paths(models),
-        sections.moving(),
+        residuals(models),
+        parameters(result, [found.fitted], found.advice),
         sections.falling(result),
+        sections.moving(),
         sections.failing(models, result.get("comparison")),
         sections.tyre(models),
-        parameters(result, found.advice),
     )
     warned = () if found.converged else (not_converged_line("the model"),)
-    return _page(case, noise, told, warned, models, parts, result, found.model.board)
+    return render(_page(case, noise, told, warned, models, parts, result, found.model.board))
 
 
 def diagnosis_page(case: Case, noise: Noise, base: SelectionStep, result: Json) -> str:
@@ -60,38 +64,43 @@ def diagnosis_page(case: Case, noise: Noise, base: SelectionStep, result: Json) 
     told = base_headline(case.name, base)
     told += f" Best candidate: {result['ranking'][0]['effect']}." if sure else " No candidate is significant."
     parts = (
-        sections.ranking(result, base.description_of),
+        candidates(result, base.description_of, [base.predicted_of_runs]),
         sections.paths(models),
-        sections.moving(),
+        residuals(models),
+        parameters(result, [base.fitted]),
         sections.falling(result),
+        sections.moving(),
         sections.failing(models),
         sections.tyre(models),
-        parameters(result),
     )
-    return _page(case, noise, told, warnings([base]), models, parts, result, base.model.board)
+    return render(_page(case, noise, told, warnings([base]), models, parts, result, base.model.board))
 
 
 def explanation_page(found: Explanation, result: Json, models: Sequence[ModelView]) -> str:
     """The report of an explanation, from the base model to the verdict; `models` are those of `views_of_steps`."""
-    parts: list[Section] = [sections.paths(models), sections.falling(result), sections.moving()]
+    parts: list[Section] = [sections.paths(models), residuals(models)]
     if found.missing is not None and result["unexplained"] is not None:
         charts = figures.missing(found.missing)
         if found.missing.depends_on and found.missing.shape is not None:
             charts.insert(0, figures.shape(found.missing, found.missing.depends_on[0][0], models[0]))
-        parts.insert(2, sections.missing(result, charts))
+        parts.append(sections.missing(result, components_text(found.missing), charts))
     if found.confidence or found.candidates:
         said = [f"{effect}: {' '.join(confidence_sentences(found, effect))}" for effect in found.confidence]
         beside = (floor_sentences, horizon_sentences, band_sentences, odd_run_sentences)
         said += [line for sentences in beside for line in sentences(found)]
-        parts.insert(2, certainty(result, said))
+        parts.append(certainty(result, said))
     parts += [
+        parameters(result, [found.base.fitted, found.final.fitted]),
+        candidates(result, found.base.description_of, [step.predicted_of_runs for step in found.steps]),
+        sections.falling(result),
+        sections.moving(),
         sections.failing(models),
-        sections.ranking(result, found.base.description_of),
         sections.tyre(models),
-        parameters(result),
     ]
-    warned, board = warnings(found.steps), found.base.model.board
-    return _page(found.case, found.noise, headline(found), warned, models, parts, result, board)
+    page = _page(
+        found.case, found.noise, title(found), warnings(found.steps), models, parts, result, found.base.model.board
+    )
+    return render(page._replace(lead=tuple(first_lines(found))))
 
 
 def _page(
@@ -103,7 +112,7 @@ def _page(
     parts: Sequence[Section],
     result,
     board,
-) -> str:
+) -> Page:
     """A page about recorded runs."""
     shown = {models[0].key, models[-1].key}
     switches = tuple(Model(m.key, m.label, m.look, m.key in shown) for m in models)
@@ -112,7 +121,7 @@ def _page(
     parts = [*parts, *([recordings] if recordings is not None else [])]
     facts = (case.title, f"{noise_line(noise)[0].upper()}{noise_line(noise)[1:]}.")
     shots = movie(models, board)
-    return render(Page(f"{case.name} - snakejax", told, facts, runs, switches, tuple(parts), result, shots, warned))
+    return Page(f"{case.name} - snakejax", told, facts, runs, switches, tuple(parts), result, shots, warned)
 
 
 __all__ = ["diagnosis_page", "explanation_page", "fit_page", "sweep_page", "tune_page"]

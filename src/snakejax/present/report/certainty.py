@@ -44,4 +44,4 @@ def certainty(result: Json, sentences: Iterable[str]) -> Section:
 
 
 def _percent(share: float | None) -> str:
-    return "" if share is None else f"{100 * share:.6g}"
+    return "" if share is None else f"{100 * share:.1f}"

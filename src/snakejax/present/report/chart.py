@@ -18,7 +18,7 @@ DIGITS = 6
 class Chart(NamedTuple):
     """One chart: `traces` and `layout` of Plotly, its height in pixels, and the run and the step it is about, if one.
 
-    `label` says in words what it shows, for those who do not see it.
+    `label` says in words what it shows, for those who do not see it; `caption` stands above it, in place of the run.
     """
 
     name: str
@@ -28,6 +28,7 @@ class Chart(NamedTuple):
     height: int = 320
     run: str | None = None
     step: str | None = None
+    caption: str | None = None
 
 
 def text(name: str) -> str:

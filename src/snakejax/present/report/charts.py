@@ -11,8 +11,8 @@ from snakejax.diagnosis.residuals.replays import RunReplay
 
 from ..as_json.values import Json
 from ..as_text.errors import times_noise, times_noise_text
-from ..as_text.tables import NOT_CONVERGED
-from ..style import BASE, COMPONENTS, FORCES, HELDOUT, MEASURED, TRAIN, LineStyle
+from ..as_text.missing import determined
+from ..style import COMPONENTS, FORCES, HELDOUT, MEASURED, TRAIN, LineStyle
 from ..views import ModelView, doubt
 from .chart import EQUAL, Chart, Trace, axes, axis_name, band, bars, faint, line, plain, points, stacked, text, thinned
 
@@ -164,36 +164,6 @@ def _squares(model: ModelView, variable: str) -> tuple[Float[np.ndarray, " n"], 
     return np.concatenate(values), np.concatenate(squares)
 
 
-def candidates(ranking: Sequence[Json]) -> Chart:
-    """The error that each candidate would leave: predicted, and as refitted where it was."""
-    shown = [r for r in ranking if r["predicted_misfit"] is not None or r["refit_misfit"] is not None][::-1]
-    names = [text(r["effect"]) for r in shown]
-    traces = []
-    kinds = [
-        ("predicted", "circle-open", [r["predicted_misfit"] for r in shown]),
-        ("refitted", "circle", [None if r["converged"] is False else r["refit_misfit"] for r in shown]),
-        (f"refit {NOT_CONVERGED}", "x", [r["refit_misfit"] if r["converged"] is False else None for r in shown]),
-    ]
-    for title, symbol, misfits in kinds:
-        if title.endswith(NOT_CONVERGED) and not any(misfits):
-            continue
-        trace: Trace = points([], [], title, BASE, symbol=symbol)
-        trace |= {
-            "x": [times_noise(misfit) for misfit in misfits],
-            "y": names,
-            "hovertemplate": "%{y}: %{x:.3g}<extra>" + title + "</extra>",
-        }
-        trace["marker"] |= {"color": TRAIN, "size": 10, "line": {"width": 2, "color": TRAIN}}
-        traces.append(trace)
-    every = [v for trace in traces for v in trace["x"] if v]
-    ends = [np.log10(min(AROUND_NOISE[0], *every)), np.log10(max(AROUND_NOISE[1], *every))]
-    room = MARGIN * (ends[1] - ends[0])
-    xaxis = {"type": "log", "range": plain([ends[0] - room, ends[1] + room])}
-    layout = axes("error / noise", "", xaxis=xaxis, yaxis={"automargin": True, "dtick": 1})
-    label = "The error that each candidate would leave, in multiples of the noise."
-    return Chart("suspects", label, tuple(traces), layout, 90 + 20 * len(shown))
-
-
 def tyre(models: Sequence[ModelView]) -> Chart:
     """The lateral force of each model against slip with its band, and the forces reconstructed from the recordings."""
     traces = []
@@ -222,10 +192,9 @@ def tyre(models: Sequence[ModelView]) -> Chart:
 
 def missing(latent: LatentForce) -> list[Chart]:
     """The missing force of each run over time, with a 95% band, each component on a scale of its own."""
-    charts = []
+    charts, observable = [], _observable(latent.runs)
     for k, run in enumerate(latent.runs):
         traces: list[Trace] = []
-        observable = _observable([run])
         for place, c in enumerate(observable):
             force, sd, on = run.force[:, c], run.sd[:, c], {"yaxis": axis_name(place)}
             traces.append(band(run.t, force - 1.96 * sd, force + 1.96 * sd, COMPONENTS[c], FORCES[c], **on))
@@ -237,8 +206,8 @@ def missing(latent: LatentForce) -> list[Chart]:
 
 
 def _observable(runs: Sequence[RunForce]) -> list[int]:
-    """The observable components."""
-    return [c for c in range(3) if any(np.isfinite(run.sd[:, c]).any() for run in runs)]
+    """The components that the data show."""
+    return [c for c, shown in enumerate(determined(tuple(runs))) if shown]
 
 
 def dependence(shares: Sequence[Json]) -> Chart:
@@ -305,7 +274,19 @@ def _arrows(latent: LatentForce, scenes: Mapping[str, RunReplay]) -> Chart:
     traces = (
         line(shafts[:, 0], shafts[:, 1], "missing force", FORCES[0], width=1, hoverinfo="skip"),
         points(start[:, 0], start[:, 1], "where", FORCES[0], hovertext=[text(n) for n in names], hoverinfo="text"),
+        _scale(start, ARROW * size, float(np.linalg.norm(force, axis=1).max())),
     )
     traces[1]["marker"]["size"] = 4
     label = "The missing force as arrows from where the board was, along and across the board together."
     return Chart("shape", label, traces, axes("x [m]", "y [m]", **EQUAL), 460)
+
+
+def _scale(start: Float[np.ndarray, "n 2"], length: float, largest: float) -> Trace:
+    """A bar below the arrows, as long as an arrow of the force written beside it; `length` [m] is that of 1 N."""
+    power = 10.0 ** np.floor(np.log10(max(largest, 1e-12)))
+    force = max(part for part in (power, 2 * power, 5 * power) if part <= largest * (1 + 1e-9))
+    west, south = start.min(axis=0) - MARGIN * np.ptp(start, axis=0).max()
+    bar = line(
+        [west, west + force * length], [south, south], "scale of the arrows", FORCES[0], width=4, hoverinfo="skip"
+    )
+    return bar | {"mode": "lines+text", "text": ["", f" {force:g} N"], "textposition": "middle right"}

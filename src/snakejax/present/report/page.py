@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from ..as_json.values import Json, clean
+from ..as_text.errors import times_noise_text
 from ..style import LineStyle
 from .chart import Chart
 
@@ -62,8 +63,8 @@ class Model(NamedTuple):
 
 
 class Page(NamedTuple):
-    """A whole page. `warnings` and `facts` stand under the headline; `result` is the JSON that the command wrote;
-    `movie` is what the player shows, None without one."""
+    """A whole page. `warnings`, the `lead`, pairs of a heading and a sentence, and `facts` stand under the headline;
+    `result` is the JSON that the command wrote; `movie` is what the player shows, None without one."""
 
     title: str
     headline: str
@@ -74,6 +75,7 @@ class Page(NamedTuple):
     result: Json
     movie: Mapping[str, Any] | None = None
     warnings: tuple[str, ...] = ()
+    lead: tuple[tuple[str, str], ...] = ()
 
 
 def render(page: Page) -> str:
@@ -114,6 +116,11 @@ def cells(*parts: "str | Cell") -> tuple[Cell, ...]:
 def table(caption: str, heads: Sequence[str], rows: Sequence[Row]) -> Table:
     """A table whose columns hold numbers where the heads begin with `#`, which is not shown."""
     return Table(caption, tuple(h.lstrip("#") for h in heads), tuple(h.startswith("#") for h in heads), tuple(rows))
+
+
+def root(misfit: float | None, key: str, note: str = "") -> Cell:
+    """An error in multiples of the noise and a `note`; the key ends in the power of the misfit that it is."""
+    return Cell(times_noise_text(misfit) + note, f"{key}^0.5")
 
 
 @functools.cache

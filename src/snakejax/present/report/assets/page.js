@@ -27,7 +27,10 @@
 
   const draw = (element) => {
     const { data, layout } = charts[element.id];
-    const config = { responsive: true, displaylogo: false, modeBarButtonsToRemove: ["lasso2d", "select2d"] };
+    // The buttons lie over the chart: without a mouse, which makes them come and go, they would stay there.
+    const displayModeBar = matchMedia("(hover: hover) and (pointer: fine)").matches ? "hover" : false;
+    const config = { responsive: true, displaylogo: false, displayModeBar,
+      modeBarButtonsToRemove: ["lasso2d", "select2d"] };
     drawn.set(element.id, Plotly.newPlot(element, data, dressed(layout), config).then(() => show(element)));
   };
 

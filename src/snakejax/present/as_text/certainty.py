@@ -1,0 +1,106 @@
+"""How sure each effect is, what vehicle and cameras leave by themselves, and how far a simulation is off."""
+
+from collections.abc import Iterator
+
+from snakejax.core.tabular import listed
+from snakejax.diagnosis.explanation import Explanation
+from snakejax.diagnosis.residuals.horizon import horizon_errors
+
+from .errors import pose_error_text
+from .tables import number, unit_text
+
+
+def confidence_sentences(explanation: Explanation, effect: str) -> Iterator[str]:
+    """How sure an effect is, and what share of the error it takes away."""
+    word = explanation.confidence.get(effect)
+    if word is None:
+        return
+    twins = {row.effect: None for row in explanation.candidates if effect in row.instead_of}
+    others = listed(tuple(twins), "or") if twins else "another effect"
+    exact = word == "sure" and explanation.floor is None
+    yield SURE_WHERE_EXACT if exact else CONFIDENCE[word].format(others=others)
+    share = explanation.share.get(effect)
+    if share is not None:
+        runs = "train" if explanation.final.heldout is None else "held-out"
+        yield f"It takes away {percent(share)} of the squared error of the {runs} runs."
+
+
+CONFIDENCE = {
+    "sure": "Sure: it would be significant even if a fiftieth of the forces were something else.",
+    "likely": "Likely: it is significant, and runs that were left out are predicted better with it.",
+    "stand_in": "It may stand in for something else, such as a constant that is not as stated.",
+    "ambiguous": "Ambiguous: {others} would explain the runs nearly as well.",
+}
+"""What the words of `confidence` mean."""
+SURE_WHERE_EXACT = "Sure: with it only noise is left, and no other candidate does as well."
+"""The same of an effect that leaves only noise."""
+
+
+def percent(share: float) -> str:
+    """A share in percent; the largest that is told is `more than 99.9%`."""
+    return (
+        "more than 99.9%" if 0.999 < share < 1.0 else f"{100 * share:.1f}%" if share > 0.99 else f"{100 * share:.0f}%"
+    )
+
+
+def floor_sentences(explanation: Explanation) -> Iterator[str]:
+    """What vehicle and cameras leave by themselves, and the constants that were estimated."""
+    floor = explanation.floor
+    if floor is None:
+        return
+    noise = pose_error_text(*(float(part) for part in (explanation.noise.position, explanation.noise.heading)))
+    yield (
+        f"Of whole runs, {floor.source} leave {pose_error_text(floor.position_m, floor.heading_rad)} by themselves;"
+        f" the noise of a sample is {noise}."
+    )
+    if explanation.constants:
+        parts = [
+            f"{name} = {number(e.value, e.sd)} +- {number(e.sd, e.sd)}{unit_text(e)}"
+            for name, e in explanation.constants.items()
+        ]
+        yield f"The constants of the board were estimated within what is known of them: {', '.join(parts)}."
+
+
+def horizon_sentences(explanation: Explanation) -> Iterator[str]:
+    """How far a simulation is off some seconds after a known pose, and whether that is what the user needs."""
+    final, needed = explanation.final, explanation.case.needed
+    role = "train" if final.heldout is None else "heldout"
+    runs = "train" if final.heldout is None else "held-out"
+    errors = horizon_errors(final.fitted, role)
+    if errors:
+        parts = [f"{pose_error_text(e.position_m, e.heading_rad)} after {e.seconds:g} s" for e in errors]
+        yield (
+            f"From a known pose, simulations of {runs} runs are off by {', '.join(parts)}, the noise of both poses"
+            " included."
+        )
+    if needed is None:
+        return
+    wanted = pose_error_text(needed.position, needed.heading)
+    for reached in horizon_errors(final.fitted, role, [needed.horizon]):
+        enough = reached.position_m <= needed.position and reached.heading_rad <= needed.heading
+        there = pose_error_text(reached.position_m, reached.heading_rad)
+        words = "Good enough" if enough else "Not good enough"
+        yield f"{words} for {wanted} in {needed.horizon:g} s: the error is {there}."
+        return
+    yield f"No run is long enough to say whether it is good enough for {wanted} in {needed.horizon:g} s."
+
+
+def band_sentences(explanation: Explanation) -> Iterator[str]:
+    """What share of the runs lies inside the bands of the predictions."""
+    for role, name in (("heldout", "held-out"), ("train", "train")):
+        inside = [band.inside for band in explanation.bands if band.role == role]
+        if inside:
+            mean = 100 * sum(inside) / len(inside)
+            yield f"The 95% bands of predictions from the start of each run hold {mean:.1f}% of the {name} samples."
+            return
+
+
+def odd_run_sentences(explanation: Explanation) -> Iterator[str]:
+    """The runs that differ from the others, and by what."""
+    for odd in explanation.odd_runs:
+        value = f"{number(odd.shift, odd.sd)} +- {number(odd.sd, odd.sd)}"
+        alike = f", or {listed(odd.alike, 'or')}," if odd.alike else ""
+        yield (
+            f"Run {odd.run} differs from the others, as if {odd.parameter}{alike} were {value} more there"
+            f" (p = {odd.p_value:.1g}). Look at this run, or leave it out."
+        )

@@ -1,0 +1,24 @@
+"""The names of columns: one name for one quantity, in the terminal and on pages."""
+
+POSITION, HEADING = "position [mm]", "heading [mrad]"
+"""Root mean square errors of the train runs."""
+ERROR = "error / noise"
+"""The same over x, y and heading together, in multiples of the noise."""
+CHANNELS = ("x / noise", "y / noise", "heading / noise")
+FALL = "fall of chi^2"
+"""By how much a candidate lowers chi^2, by the linear model of its test."""
+WINDOWS, PREDICTED, REFIT = "windows / noise", "predicted / noise", "refit / noise"
+"""The error that a candidate leaves: of short windows, of whole runs by the linear model, of whole runs refitted."""
+EXPECTED, DETECTS = "expected", "detects"
+
+
+def of_heldout(name: str) -> str:
+    """The column `name` of held-out runs."""
+    return f"held-out {name}"
+
+
+def narrow(name: str) -> str:
+    """A name in two lines, for a terminal of 80 columns."""
+    for sign in (" [", " /"):
+        name = name.replace(sign, f"\n{sign.lstrip()}")
+    return name

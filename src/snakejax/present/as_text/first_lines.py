@@ -1,0 +1,110 @@
+"""The first lines of an explanation: the cause and its value, the error before and after, its validation, and how sure
+that is."""
+
+from collections.abc import Iterator, Mapping
+
+from snakejax.core.tabular import counted, listed
+from snakejax.diagnosis.explanation import Explanation
+from snakejax.diagnosis.latent_force.missing_force import LatentForce
+from snakejax.estimation.uncertainty import Estimate
+
+from .certainty import confidence_sentences
+from .errors import error_text
+from .missing import components_text
+from .tables import NOT_CONVERGED, error, number
+
+MILLI = {"rad": "mrad", "m": "mm"}
+"""Units of which small values are shown as thousandths."""
+UNDECIDED = "No known effect brings the error down to the noise."
+
+
+def title(explanation: Explanation) -> str:
+    """The case and the verdict: `tilted-floor: explained by ground_slope`."""
+    name = explanation.case.name
+    if explanation.verdict == "explained":
+        return f"{name}: explained by {listed(explanation.effects)}"
+    return f"{name}: {explanation.verdict}"
+
+
+def first_lines(explanation: Explanation) -> list[tuple[str, str]]:
+    """Pairs of a heading and a sentence."""
+    lines = [("cause", sentence) for sentence in _causes(explanation)]
+    lines += [("error", _error(explanation)), ("validation", _validation(explanation))]
+    lines += [("how sure", sentence) for sentence in _certainty(explanation)]
+    # One heading for all lines of its kind.
+    return [(head if k == 0 or lines[k - 1][0] != head else "", line) for k, (head, line) in enumerate(lines)]
+
+
+def _causes(explanation: Explanation) -> Iterator[str]:
+    final = explanation.final
+    doubt = "" if final.converged else f" (its fit {NOT_CONVERGED})"
+    if explanation.verdict == "adequate":
+        yield "None: the base model explains the recordings."
+        return
+    if explanation.verdict == "unexplained":
+        yield UNDECIDED
+        if explanation.missing is not None:
+            yield _missing(explanation.missing)
+        if explanation.effects:
+            yield f"Still significant beside the missing force: {listed(explanation.effects)}."
+    for effect in explanation.partial if explanation.verdict == "unexplained" else explanation.effects:
+        helped = "Lowers the error: " if explanation.verdict == "unexplained" else ""
+        values = values_text(final.estimates_of(effect))
+        yield f"{helped}{effect}: {final.description_of(effect)} {values}".rstrip() + doubt
+
+
+def _missing(force: LatentForce) -> str:
+    depends = "It depends on no variable of these runs."
+    if force.shape is not None and force.depends_on:
+        variable, share = force.depends_on[0]
+        depends = f"It depends on {variable.replace('_', ' ')} ({100 * share:.0f} % of it)."
+    return f"A force is missing: {components_text(force)} (root mean square). {depends}"
+
+
+def _error(explanation: Explanation) -> str:
+    base, final = explanation.base.train, explanation.final.train
+    if len(explanation.steps) == 1:
+        return f"{error_text(base)}."
+    return f"from {error_text(base)} to {error_text(final)}."
+
+
+def _validation(explanation: Explanation) -> str:
+    base, final = explanation.base, explanation.final
+    if final.heldout is None or base.heldout is None:
+        return "None: no run is held out."
+    runs = counted(len(final.fitted.numbered("heldout")), "held-out run")
+    if len(explanation.steps) == 1:
+        return f"{runs}, not used in the fit: {error_text(final.heldout)}."
+    return f"{runs}, not used in the fit: from {error_text(base.heldout)} to {error_text(final.heldout)}."
+
+
+def _certainty(explanation: Explanation) -> Iterator[str]:
+    if explanation.verdict == "adequate":
+        noise = "what the model leaves is like noise of the vehicle itself"
+        yield f"No effect is missing: {noise if explanation.floor is not None else 'only noise is left'}."
+    elif explanation.verdict == "unexplained":
+        yield "Not: the values are those of a model that lacks something."
+    several = len(explanation.confidence) > 1
+    for effect in explanation.confidence:
+        told = " ".join(confidence_sentences(explanation, effect))
+        if told:
+            yield f"{effect}: {told}" if several else told
+
+
+def values_text(estimates: Mapping[str, Estimate]) -> str:
+    """Names, values and standard errors: `sx = 3.000 +- 0.017 mrad`."""
+    return ", ".join(f"{name} = {value_text(estimate)}" for name, estimate in estimates.items())
+
+
+def value_text(estimate: Estimate) -> str:
+    """A value with at most four digits, its standard error, and its unit; small angles and lengths as thousandths."""
+    value, sd, unit = estimate.value, estimate.sd, estimate.unit
+    if unit in MILLI and abs(value) < 1:
+        value, sd, unit = 1e3 * value, None if sd is None else 1e3 * sd, MILLI[unit]
+    unit = "" if unit == "-" else f" {unit}"
+    if sd is None or not value:
+        return f"{number(value, sd)}{f' +- {error(sd)}' if sd else ''}{unit}"
+    least = 10.0 ** (int(f"{value:.3e}".split("e")[1]) - 3)
+    if sd >= least:
+        return f"{number(value, max(sd, 10 * least))} +- {error(sd)}{unit}"
+    return f"{number(value, 10 * least)} +- < {least:g}{unit}"
