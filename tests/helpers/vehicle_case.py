@@ -33,7 +33,7 @@ def write_case(
     runs: Mapping[str, tuple[Commands, tuple[float, ...]]],
     skid: str = "free",
 ) -> Path:
-    """A case of `truth` in `folder`: `runs` by name, with commands and start of each; names in "held" are held out."""
+    """A case of `truth` in `folder`: `runs` by name with commands and start; those called "held..." are not fitted."""
     rng = np.random.default_rng(1)
     folder.mkdir(parents=True, exist_ok=True)
     units = {

@@ -3,6 +3,8 @@
 import argparse
 from typing import Any
 
+from snakejax.vehicles.registry import VEHICLES
+
 from .options import add_command
 
 
@@ -17,6 +19,9 @@ def add(commands: Any) -> None:
         "snakejax new my-board",
     )
     command.add_argument("folder", metavar="DIR", help="where to write case.toml")
+    command.add_argument(
+        "--vehicle", choices=VEHICLES, default="snakeboard", metavar="KIND", help=f"one of {', '.join(VEHICLES)}"
+    )
     command.add_argument("--quiet", action="store_true", help="print only errors")
 
 
@@ -24,7 +29,7 @@ def run(options: argparse.Namespace) -> int:
     """Write the template."""
     from snakejax.recording.case_template import write_template
 
-    path = write_template(options.folder)
+    path = write_template(options.folder, options.vehicle)
     if not options.quiet:
         print(f"wrote {path}: fill it in, put the recordings beside it, then run `snakejax check {options.folder}`")
     return 0

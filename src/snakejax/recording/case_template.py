@@ -8,6 +8,8 @@ from pathlib import Path
 from snakejax.core.errors import InputError
 from snakejax.core.toml_table import TO_FILL_IN
 
+from .vehicle_template import vehicle_template
+
 _HEAD = """\
 # A case: a board and its recorded runs. Units are in the names of the keys.
 title = "my snakeboard"             # free text; may be left out
@@ -122,8 +124,8 @@ def toml_string(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def write_template(folder: Path | str) -> Path:
-    """Write `template()` to `case.toml` in `folder`, made where it is not there; the path written.
+def write_template(folder: Path | str, kind: str = "snakeboard") -> Path:
+    """Write `template()`, or that of the vehicle `kind`, to `case.toml` in `folder`; the path written.
 
     **Raises:** `InputError` where there already is a `case.toml`, or `folder` cannot be written.
     """
@@ -131,7 +133,7 @@ def write_template(folder: Path | str) -> Path:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("x", encoding="utf-8") as file:
-            file.write(template())
+            file.write(template() if kind == "snakeboard" else vehicle_template(kind))
     except FileExistsError:
         raise InputError(f"{path.name} already exists", str(path.parent), "choose another folder") from None
     except OSError as error:

@@ -15,6 +15,7 @@ from snakejax.core.parameter import Scalar
 from snakejax.dynamics.contact import Motion
 from snakejax.dynamics.inputs import AbstractInputs
 from snakejax.dynamics.model import Model
+from snakejax.dynamics.sampled_signals import Held
 
 NUDGE = 1e-9
 """Speed [m/s, rad/s] of the finite difference that gives the stiffness at rest."""
@@ -113,6 +114,11 @@ def _integrate(
         dt0 = jnp.minimum(1e-3, most)
     else:
         controller, dt0 = diffrax.ConstantStepSize(), accuracy.step
+    # A command that is held jumps at its samples: a step across a jump would have an error that no derivative shows.
+    jumps = [part.knots for part in jax.tree.leaves(gait, is_leaf=_is_held) if _is_held(part)]
+    if jumps and accuracy.step is None:
+        at = jnp.sort(jnp.concatenate(jumps))
+        controller = diffrax.ClipStepSizeController(controller, jump_ts=jax.lax.stop_gradient(at))
     # diffrax fails on an empty tuple inside the state, so it integrates the list of leaves.
     leaves, structure = jax.tree.flatten(state)
 
@@ -134,6 +140,10 @@ def _integrate(
         throw=throw,
     )
     return jax.tree.unflatten(structure, solution.ys), solution.result == diffrax.RESULTS.successful
+
+
+def _is_held(part: Any) -> bool:
+    return isinstance(part, Held)
 
 
 @cache

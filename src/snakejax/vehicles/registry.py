@@ -1,9 +1,10 @@
 """The vehicles by the name that `kind` has in case.toml."""
 
 import importlib
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from snakejax.dynamics.vehicle import AbstractVehicle
+if TYPE_CHECKING:
+    from snakejax.dynamics.vehicle import AbstractVehicle
 
 
 class _Entry(NamedTuple):
@@ -25,7 +26,7 @@ VEHICLES = tuple(_REGISTRY)
 """Names of all vehicles."""
 
 
-def vehicle_class(kind: str) -> type[AbstractVehicle]:
+def vehicle_class(kind: str) -> "type[AbstractVehicle]":
     """The class of the vehicle `kind`, one of `VEHICLES`."""
     entry = _REGISTRY[kind]
     return getattr(importlib.import_module(f"{__package__}.{entry.module}"), entry.name)

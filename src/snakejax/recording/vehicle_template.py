@@ -1,0 +1,72 @@
+"""A commented `case.toml` for any vehicle but a snakeboard, from the declaration of the vehicle."""
+
+import dataclasses
+
+from snakejax.dynamics.inputs import Input
+from snakejax.vehicles.registry import example_values, vehicle_class
+
+from .case_vehicle import fields_of, sd_keys_of
+
+_FORMS = {"angle": "angle, rad", "speed": "speed of the rim, m/s", "torque": "torque, N m", "command": "command"}
+_RUN = """\
+
+# One table for each run. Fit on "train" runs; "heldout" runs check what the fit predicts.
+[[runs]]
+role = "{role}"
+mocap = "{role}-1.csv"              # any format `snakejax import` reads; a table with time_s, x_m, y_m, heading_rad
+object = "body"                     # its name in the file
+{inputs}
+"""
+_MORE = """\
+# A log in place of these: CSV with the columns {columns}. With hold = true a value lasts until the next.
+# joint_log = {{file = "inputs.csv", kind = "commanded", hold = true}}
+# start = "moving"                  # under way at the first sample: its velocities are estimated then
+# window_s = [0.5, 8.0]             # use these seconds only; name = "..." tells two windows of one file apart
+"""
+
+
+def vehicle_template(kind: str) -> str:
+    """A `case.toml` for the vehicle `kind` with the values of its example, and every key explained."""
+    vehicle, values = vehicle_class(kind), example_values(kind)
+    lines = [
+        "# A case: a vehicle and its recorded runs. Units are in the names of the keys.",
+        f'title = "my {vehicle.noun}"',
+        f'skid = "{next(iter(vehicle.structures))}"                       # {" or ".join(vehicle.structures)}: '
+        "wheels that slip, or not",
+        "",
+        "[vehicle]",
+        f'kind = "{kind}"',
+    ]
+    for key, field in fields_of(vehicle).items():
+        unit = field.metadata["domain"].unit
+        if field.name in values:
+            lines.append(f"{key} = {values[field.name]!r}".ljust(36) + f"# {_words(field.name)} [{unit}]")
+        elif field.default is not dataclasses.MISSING:
+            lines.append(f"# {key} = {float(field.default)!r}".ljust(36) + f"# {_words(field.name)} [{unit}]")
+    if "unknown" in {f.name for f in dataclasses.fields(vehicle)}:  # type: ignore[arg-type]
+        lines.append(
+            '# An optional one may be "estimate", or {estimate = 1.0} with a first guess: a fit finds it then.'
+        )
+    lines.append(f"# Standard deviations, where they are known: {', '.join(sd_keys_of(vehicle))}")
+    for given in vehicle.inputs:
+        lines += [
+            "",
+            f"# What stands between the command `{given.name}` and what acts; all keys may be left out.",
+            f"# [actuator.{given.name}]",
+        ]
+        lines += ["# gain = 1.0", "# offset = 0.0", "# dead_band = 0.0", "# saturation = 1.0", "# lag_s = 0.1"]
+    return "\n".join(lines) + "\n" + "".join(_run(role, vehicle.inputs) for role in ("train", "heldout"))
+
+
+def _run(role: str, inputs: tuple[Input, ...]) -> str:
+    rows = []
+    for one in inputs:
+        terms = f"{one.name} = [[0.3, 2.0, 0.0]]".ljust(36)
+        rows.append(f"{terms}# {one.label} ({_FORMS[one.kind]}): a sin(w t + p), summed")
+    text = _RUN.format(role=role, inputs="\n".join(rows))
+    columns = ", ".join(["time_s", *(one.name for one in inputs)])
+    return text + (_MORE.format(columns=columns) if role == "train" else "")
+
+
+def _words(field: str) -> str:
+    return field.replace("_", " ")

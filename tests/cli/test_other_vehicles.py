@@ -1,0 +1,57 @@
+"""Commands on another vehicle than the snakeboard, made up."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.vehicle_case import steps, write_case
+
+from snakejax.cli import main
+from snakejax.dynamics.axle_tyres import FrontRear
+from snakejax.dynamics.model import Model
+from snakejax.dynamics.tyres import Pacejka
+from snakejax.effects import library
+from snakejax.vehicles.car import DART, Car
+
+TRUE = {"steering_ratio": 0.45, "force_gain": 22.0}
+TYRES = {"front.B": 6.0, "front.C": 1.4, "front.D": 6.0, "front.E": 0.1} | {
+    "rear.B": 8.0, "rear.C": 1.4, "rear.D": 5.5, "rear.E": 0.1,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def car(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    rng = np.random.default_rng(0)
+    vehicle = Car(**DART, **TRUE)
+    front, rear = ([TYRES[f"{axle}.{name}"] for name in "BCDE"] for axle in ("front", "rear"))
+    tyres = FrontRear(Pacejka(*front), Pacejka(*rear))
+    truth = Model(vehicle, tyres, "free", {"steering_lag": library(vehicle)["steering_lag"](tau=0.1)})
+    commands = ({"steer": steps(rng, 4, -0.6, 0.6), "drive": steps(rng, 4, 0.05, 0.2)} for _ in range(2))
+    starts = ((0.0, 0.0, 0.0), (0.3, 0.1, 0.2, 1.0, 0.1, 0.3))
+    runs = {name: (one, start) for name, one, start in zip(("train-1", "held-1"), commands, starts, strict=True)}
+    return write_case(tmp_path_factory.mktemp("cases") / "car", "car", {**DART, **TRUE}, truth, runs)
+
+
+def test_a_car_with_its_true_values_leaves_noise(car: Path, tmp_path: Path) -> None:
+    """Commands held between samples, a lag, tyres by axle, and a held-out run that begins in motion."""
+    values = ",".join(f"{name}={value}" for name, value in TYRES.items())
+    where = tmp_path / "simulated.json"
+    options = ["--set", values, "--effect", "steering_lag:tau=0.1", "--json", str(where), "--quiet"]
+    assert main(["simulate", str(car), *options]) == 0
+    runs = json.loads(where.read_text())["runs"]
+    assert [run["run"] for run in runs] == ["train-1", "held-1"]
+    assert all(0.8 < run["misfit"] < 1.2 for run in runs)
+
+
+def test_a_gain_beside_a_constant_to_be_estimated_is_refused(car: Path) -> None:
+    vehicle = Car(**DART, **TRUE, unknown=("steering_ratio",))
+    model = Model(vehicle, Pacejka(6.0, 1.4, 6.0, 0.1), "ideal")
+    assert "is estimated" in (library(vehicle)["steering_gain"]().inapplicable_because(model) or "")
+    assert library(vehicle)["drive_gain"]().inapplicable_because(model) is None
+    assert "without slip" in (library(vehicle)["load_transfer"]().inapplicable_because(model) or "")
+
+
+def test_a_car_is_not_tuned(car: Path, capsys: pytest.CaptureFixture) -> None:
+    assert main(["tune", str(car), "--objective", "distance", "--seconds", "2"]) == 2
+    assert "those of a snakeboard, but the vehicle is a car" in capsys.readouterr().err

@@ -1,0 +1,34 @@
+"""The tutorial "Your own vehicle in 60 lines", as it stands."""
+
+import re
+
+import numpy as np
+from helpers.folders import ROOT
+
+from snakejax.recording.case import load_case
+from snakejax.recording.case_template import write_template
+from snakejax.vehicles.registry import VEHICLES, vehicle_class
+
+
+def test_the_tutorial_runs() -> None:
+    text = (ROOT / "docs" / "your-own-vehicle.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"^```python\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
+    made: dict = {}
+    exec(code, made)  # The page's own code.
+    assert len([line for line in code.split("\n") if line.strip()]) <= 60
+    assert 0.01 < made["gap"] < 20
+    # Without slip a steered rear wheel turns it about a point of the front axle's line: v_front = u.
+    motion = np.asarray(made["rolling"].pose)
+    assert motion[-1, 0] > 1.0 and np.ptp(motion[:, 2]) > 0.1
+    assert np.abs(np.asarray(made["slow"].pose) - np.asarray(made["skidding"].pose)).max() > 0.01
+
+
+def test_every_vehicle_has_a_template_that_loads(tmp_path) -> None:
+    rows = "".join(f"{t:.2f},{0.1 * t:.4f},0.0,0.0\n" for t in np.arange(0.0, 1.0, 0.02))
+    for kind in VEHICLES[1:]:
+        path = write_template(tmp_path / kind, kind)
+        for name in ("train-1.csv", "heldout-1.csv"):
+            (path.parent / name).write_text(f"time_s,x_m,y_m,heading_rad\n{rows}", encoding="utf-8")
+        case = load_case(path.parent)
+        assert isinstance(case.board, vehicle_class(kind))
+        assert set(case.runs[0].gait.names) == {given.name for given in case.board.inputs}
