@@ -3,13 +3,14 @@
 import equinox as eqx
 import numpy as np
 import pytest
+import scipy.signal
 from scipy import stats
 
 from snakejax.diagnosis.residuals.comparison import compare, compare_models
 from snakejax.diagnosis.residuals.dependence import rate, residual_dependence
 from snakejax.diagnosis.residuals.intervals import interval_misfits, largest_residuals
 from snakejax.diagnosis.residuals.replays import ResidualSeries, gait_phase
-from snakejax.diagnosis.residuals.whiteness import portmanteau, whiteness
+from snakejax.diagnosis.residuals.whiteness import autocorrelation, portmanteau, whiteness
 from snakejax.estimation.fitting import fit
 from snakejax.estimation.initial_model import starting_model
 from snakejax.recording.case import load_case
@@ -224,3 +225,16 @@ def test_side_by_side(recordings) -> None:
     assert ideal.train and pacejka.train and pacejka.heldout and pacejka.failure is None
     assert pacejka.train.misfit < 1.1 < 100.0 < ideal.train.misfit
     assert pacejka.heldout.position_m < 0.001
+
+
+def test_autocorrelation_is_that_of_an_autoregressive_process() -> None:
+    """rho_k = a^k for e_t = a e_{t-1} + noise, in two runs with gaps; white noise stays within the bound."""
+    random, a = np.random.default_rng(3), 0.8
+    noise = random.standard_normal((2, 40_000))
+    runs = scipy.signal.lfilter([1.0], [1.0, -a], noise, axis=1)
+    runs[:, random.random(40_000) < 0.1] = np.nan
+    values, _ = autocorrelation(list(runs), 6)
+    assert values == pytest.approx(a ** np.arange(6), abs=0.03)
+    white, bound = autocorrelation(list(noise), 40)
+    assert white[0] == pytest.approx(1.0) and bound == pytest.approx(1.96 / np.sqrt(2 * 39_999))
+    assert np.mean(np.abs(white[1:]) < bound) > 0.85

@@ -2,6 +2,7 @@
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from snakejax.diagnosis.selection.steps import SelectionStep
 
@@ -32,7 +33,12 @@ def ranking(base: SelectionStep) -> Figure:
     middle.axvline(base.train.times_noise, color="0.2", lw=1, ls=":", label="base")
     for axis, title in ((left, PREDICTED if base.predicted_of_runs else WINDOWS), (middle, REFIT)):
         axis.set_xscale("log")
-        axis.set(xlabel=title)
+        # Scatter about the noise must not look large; few errors are decades apart.
+        low, high = axis.get_xlim()
+        axis.set(xlabel=title, xlim=(min(0.5, low), max(2.0, high)))
+        axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 50 else (1.0,)))
+        axis.xaxis.set_major_formatter("{x:g}")
+        axis.xaxis.set_minor_formatter(NullFormatter())
         axis.grid(axis="y", color="0.9", lw=0.6)
     left.set_yticks(places, [one.effect for one in shown], fontsize="small")
     figure.legend(*middle.get_legend_handles_labels(), fontsize="small", loc="outside upper center", ncols=3)
