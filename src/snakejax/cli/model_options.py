@@ -12,7 +12,7 @@ from snakejax.dynamics.model import Model
 from snakejax.dynamics.ports import Effect
 from snakejax.dynamics.tyres import AbstractTyre
 from snakejax.dynamics.vehicle import AbstractVehicle
-from snakejax.effects import library
+from snakejax.effects import LIBRARY, library
 from snakejax.estimation.initial_model import default_free, select_parameters, starting_tyre
 from snakejax.present.as_json.saved import SavedFit, saved_fit
 from snakejax.recording.run import Case
@@ -136,10 +136,13 @@ def built(name: str, kind: type[Effect], values: Mapping[str, float]) -> Effect:
         raise InputError(str(error).rstrip("."), "option --effect", "give a value inside its domain") from None
 
 
-def effect_class(spec: EffectSpec, vehicle: AbstractVehicle) -> type[Effect]:
-    """The class of an effect, built in or from a user's file. **Raises:** `InputError` where there is none."""
+def effect_class(spec: EffectSpec, vehicle: AbstractVehicle | None = None) -> type[Effect]:
+    """The class of an effect of `vehicle` (default: a snakeboard), built in or from a user's file.
+
+    **Raises:** `InputError` where there is none.
+    """
     if spec.source is None:
-        known_effects = library(vehicle)
+        known_effects = LIBRARY if vehicle is None else library(vehicle)
         if spec.name not in known_effects:
             known = [*known_effects, LATERAL_SLIP_SWITCH]
             remedy = f"{instead_of(spec.name, known)}; write your own as FILE.py:Class"
