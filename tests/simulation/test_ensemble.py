@@ -48,7 +48,8 @@ def test_lanes_agree_with_diffrax(constraint, effects) -> None:
     models = scattered(model, 5)
     start = np.random.default_rng(1).normal(size=(5, 3))
     times = np.linspace(0.0, 4.0, 9)
-    found = simulate_many(models, example.gait, times, start, accuracy=SHARP)
+    # At SHARP a stiff board is off by 1e-9 itself.
+    found = simulate_many(models, example.gait, times, start, accuracy=SHARPER)
     np.testing.assert_allclose(found, one_by_one(models, example.gait, times, start), rtol=0, atol=1e-9)
 
 
