@@ -25,8 +25,9 @@ class AbstractVehicle(Parametrised):
     """A planar vehicle: one rigid body on steered wheelsets, with a rotor.
 
     `mass` [kg]; `rotor_inertia`, `wheelset_inertia` [kg m^2]; `half_length` [m]; `creep_speed` [m/s]: regularises the
-    slip angle at rest; `offset` [m] of the centre of mass; `structures`: possible constraints of its wheels, by name;
-    `relaxed`: maps a structure that constrains the wheels to the one with independently slipping wheelsets.
+    slip angle at rest; `offset` [m] of the centre of mass; `kind`: its name in results; `structures`: possible
+    constraints of its wheels, by name; `relaxed`: maps a structure that constrains the wheels to the one with
+    independently slipping wheelsets.
     """
 
     mass: eqx.AbstractVar[Scalar]
@@ -36,6 +37,7 @@ class AbstractVehicle(Parametrised):
     creep_speed: eqx.AbstractVar[Scalar]
     offset: eqx.AbstractVar[Scalar]
     wheelsets: eqx.AbstractVar[tuple[Wheelset, ...]]
+    kind: ClassVar[str]
     structures: ClassVar[dict[str, type["AbstractConstraint"]]]
     relaxed: ClassVar[dict[str, str]] = {}
 

@@ -13,7 +13,7 @@ import numpy as np
 from snakejax.core.errors import InputError
 from snakejax.core.jax_config import require_x64
 from snakejax.core.parameter import Domain
-from snakejax.core.toml_table import Table, read_toml
+from snakejax.core.toml_table import Table, read_toml, require_filled_in
 from snakejax.dynamics.inputs import Gait
 from snakejax.dynamics.kinds import CASE_STRUCTURES
 from snakejax.dynamics.signals import AbstractSignal, Logged, Sines, Tracked
@@ -78,6 +78,7 @@ def load_case(folder: Path | str) -> Case:
     require_x64()
     folder = Path(folder)
     table = read_toml(_case_file(folder))
+    require_filled_in(table)
     table.require_known(CASE_KEYS)
     constraint = table.choice("skid", CASE_STRUCTURES)
     measures = table.table("board", "[board] with mass_kg and the other measures")

@@ -19,6 +19,7 @@ class Board(AbstractVehicle):
     slip angle (`slip_angle`); the default 1 mm/s is far below any measured speed.
     """
 
+    kind: ClassVar[str] = "snakeboard"
     structures: ClassVar[dict[str, type[AbstractConstraint]]] = {
         "coupled": Coupled,
         "free": Slipping,
