@@ -44,7 +44,7 @@ def test_the_story_of_a_bundled_recording(study, request, browser, tmp_path) -> 
     page = seen.page
     assert found.case.name in page.inner_text("h1") and found.verdict in page.inner_text("h1")
     headings = [h.text_content() for h in page.query_selector_all("h2")]
-    assert headings[0].startswith("Paths") and "What may be missing" in headings
+    assert headings[0].startswith("Paths") and "Effects tried and refused" in headings
     assert ("The missing force" in headings) == (found.verdict == "unexplained")
     if found.missing is not None:
         shares = {t["variable"]: t["share"] for t in result["unexplained"]["depends_on"]}
