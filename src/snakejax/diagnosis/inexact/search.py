@@ -37,10 +37,17 @@ REVISIONS = 3
 """How often a set that was fitted to the end is chosen again on its own Gram matrices, at most."""
 ROUGH, FINE = 8, 25
 """Iterations of the discrepancy while the model still moves, and at the end."""
+SMALLEST_SHARE = 0.25
+"""Least share of a step that is taken along a curved valley."""
 ARRIVED = 0.3
 """A fit has converged where its step is shorter than this many standard deviations (Mahalanobis distance)."""
 TYRE_STEP = 0.5
 """Longest step of a tyre parameter in one round, in standard deviations of its prior; of others 1."""
+FURTHEST_CONSTANT = 5.0
+"""A constant of the vehicle is at most this many standard deviations of its prior from its stated value. Without a
+limit the linear problem removes an effect by a vehicle without mass, grip and inertia, which needs no force at all."""
+FURTHEST_FACTOR = 2.0
+"""A linear problem holds for parameters within this factor of where it was linearised."""
 NEAREST = 0.25
 """A parameter without a derivative at zero stays at least this share of its probe away from it."""
 
@@ -89,12 +96,18 @@ class Search(NamedTuple):
 
     def subsets(self, values: np.ndarray, gram: np.ndarray) -> Subsets:
         """The linear problem at `values` with the sum `gram` of the Gram matrices."""
-        model = self.model
+        model, segments, prior = self.model, self.segments, self.prior_at(values)
         low, high = (
-            self.segments.step_between(values, np.array([getattr(d, end) for d in self.segments.domains]))
+            segments.step_between(values, np.array([getattr(d, end) for d in segments.domains]))
             for end in ("low", "high")
         )
-        return Subsets(gram, model.always, model.candidates, self.prior_at(values), low, high, self.criteria)
+        furthest = np.where(segments.multiplicative, np.log(FURTHEST_FACTOR), np.inf)
+        low, high = np.maximum(low, -furthest), np.minimum(high, furthest)
+        constants = list(model.constants)
+        away = FURTHEST_CONSTANT * model.sd[constants]
+        low[constants] = np.maximum(low[constants], np.minimum(prior.mean[constants] - away, 0.0))
+        high[constants] = np.minimum(high[constants], np.maximum(prior.mean[constants] + away, 0.0))
+        return Subsets(gram, model.always, model.candidates, prior, low, high, self.criteria)
 
     def linearise(self, point: Point, free: np.ndarray | None = None, most: int = ROUGH) -> Linear:
         """The problem linearised at `point`; its discrepancy is estimated in `most` iterations (0: kept) with the
@@ -158,8 +171,10 @@ class Search(NamedTuple):
             if before < ARRIVED:
                 break
             linear = self.linearise(self.stepped(linear, share * linear.optimum.step, effects), most=most)
-            # Along a curved valley whole steps go to and fro.
-            share = 0.5 * share if distance(linear.optimum) > 0.5 * before else 1.0
+            # In a linear problem a share of the step leaves 1 - share of the distance. Along a curved valley whole
+            # steps go to and fro.
+            shortened = distance(linear.optimum) < (1.0 - 0.5 * share) * before
+            share = min(1.0, 2.0 * share) if shortened else max(0.5 * share, SMALLEST_SHARE)
         return linear
 
 

@@ -35,13 +35,17 @@ LENGTH = 0.25
 fifth of that, and the forces that a model lacks change with the gait, over seconds."""
 FEWEST = 3
 """Least number of samples of a segment."""
-CHUNK = 48
+CHUNK = 16
 """Segments that are integrated side by side; one compiled program serves every recording."""
 LARGEST_STEP = 2.5e-3
 """Largest step [s] of the Runge-Kutta method of order 4: its error is then below 1e-7 m over a segment."""
 STABLE = 1.5
 """Largest product of step and fastest rate of decay. The method is stable up to 2.78; the remainder is a margin for
 parameters that move during a fit."""
+NODES, WEIGHTS = np.array([0.0, 0.5, 0.5, 1.0]), np.array([1.0, 2.0, 2.0, 1.0]) / 6.0
+"""The classical Runge-Kutta method of order 4: a stage begins at the slope of the one before it."""
+MOST_STEPS = 4096
+"""Largest number of steps between two samples."""
 BODY, FORCE = 6, 3
 """Numbers of the state of the body and of the force."""
 
@@ -131,29 +135,31 @@ def _integrated(model: Model, sub: Int[Array, ""], segment, z: Float[Array, " nz
     def rates(t, y):
         return jax.tree.leaves(model.rates(t, jax.tree.unflatten(template, y), gait))
 
-    def moved(y, by, k):
-        return [u + by * r for u, r in zip(y, k, strict=True)]
-
-    def integrate(y, t0, t1):
+    def integrate(y, span):
+        t0, t1 = span
         h = (t1 - t0) / sub.astype(jnp.float64)
 
+        # Steps and stages are loops, so that `rates` stands in the compiled program only once.
         def step(i, y):
             t = t0 + i.astype(jnp.float64) * h
-            k1 = rates(t, y)
-            k2 = rates(t + h / 2, moved(y, h / 2, k1))
-            k3 = rates(t + h / 2, moved(y, h / 2, k2))
-            k4 = rates(t + h, moved(y, h, k3))
-            slope = [(a + 2 * b + 2 * c + d) / 6 for a, b, c, d in zip(k1, k2, k3, k4, strict=True)]
-            return moved(y, h, slope)
 
-        return jax.lax.fori_loop(0, sub, step, y)
+            def stage(state, tableau):
+                last, total = state
+                node, weight = tableau
+                slope = rates(t + node * h, [u + node * h * s for u, s in zip(y, last, strict=True)])
+                return (slope, [sum_ + weight * s for sum_, s in zip(total, slope, strict=True)]), None
 
-    def sample(y, span):
-        return integrate(y, *span), jnp.stack(model.observe(tuple(y[:BODY])))
+            zeros = [jnp.zeros_like(u) for u in y]
+            (_, slope), _ = jax.lax.scan(stage, (zeros, zeros), (jnp.asarray(NODES), jnp.asarray(WEIGHTS)))
+            return [u + h * s for u, s in zip(y, slope, strict=True)]
 
-    y = integrate([z[i] for i in range(z.shape[0] - FORCE)], start, delayed[0])
-    y, pose = jax.lax.scan(sample, y, (delayed[:-1], delayed[1:]))
-    return pose, jnp.stack(y)
+        y = jax.lax.fori_loop(0, sub, step, y)
+        return y, jnp.stack(model.observe(tuple(y[:BODY])))
+
+    # From the start to the first sample, from there to each of the others, and to the start of the next segment.
+    at = jnp.concatenate([start[None], delayed])
+    y, pose = jax.lax.scan(integrate, [z[i] for i in range(z.shape[0] - FORCE)], (at[:-1], at[1:]))
+    return pose[:-1], jnp.stack(y)
 
 
 _FORCE_NAMES = tuple(f"effects.segment_force.{part}" for part in "XYN")
@@ -240,9 +246,7 @@ class Segments:
             raise FitError("The motion of the recording gives a rate of change that is not finite; check its outliers.")
         frame = np.diff(self.cut.times, axis=1).max(axis=1)
         step = np.minimum(LARGEST_STEP, STABLE / np.maximum(rate, 1e-9))
-        # Few different numbers, so that segments of equal steps are integrated together.
-        offered = np.sort(np.concatenate([2 ** np.arange(12), 3 * 2 ** np.arange(10)]))
-        return offered[np.searchsorted(offered, np.minimum(frame / step - 1e-9, offered[-1]))]
+        return np.ceil(np.clip(frame / step - 1e-9, 1, MOST_STEPS)).astype(np.int64)
 
     def guess(self) -> np.ndarray:
         """The smoothed states (S, nz) at the first sample of each segment; memories and forces are zero."""
@@ -282,7 +286,7 @@ class Segments:
         def fill(part: np.ndarray) -> None:
             padded = np.concatenate([part, np.repeat(part[-1:], CHUNK - len(part))])
             segments, start = jax.tree.map(lambda leaf: jnp.asarray(leaf[padded]), (self.inputs, z))
-            sub = jnp.asarray(self.sub[part[0]])
+            sub = jnp.asarray(self.sub[part].max())
             done = _linearised(self.model, self.names, self.multiplicative, point, sub, segments, start)
             for target, found in zip(((pose, end), (d_pose, d_end)), done, strict=True):
                 for whole, values_ in zip(target, found, strict=True):
@@ -293,6 +297,6 @@ class Segments:
         return LinearisedSegments(pose, end, d_pose[..., :P], d_pose[..., P:], d_end[..., :P], d_end[..., P:])
 
     def _chunks(self) -> list[np.ndarray]:
-        """The numbers of segments with equal steps, in chunks."""
-        groups = [np.flatnonzero(self.sub == sub) for sub in np.unique(self.sub)]
-        return [group[k : k + CHUNK] for group in groups for k in range(0, len(group), CHUNK)]
+        """The numbers of segments with nearly equal steps, in chunks."""
+        order = np.argsort(self.sub, kind="stable")
+        return [order[k : k + CHUNK] for k in range(0, len(order), CHUNK)]
