@@ -104,12 +104,19 @@ def _integrate(
 ) -> tuple[Any, Bool[Array, ""]]:
     forward = accuracy.derivative == "forward"
     most_steps = max(accuracy.max_steps, STEPS_A_SAMPLE * times.shape[0])
+    # diffrax fails on an empty tuple inside the state, so it integrates the list of leaves.
+    leaves, structure = jax.tree.flatten(state)
+
+    @jax.jit  # so that it is traced and differentiated once, and not at each place where it is called
+    def rates(t: Scalar, y: list[Scalar]) -> list[Scalar]:
+        return jax.tree.leaves(model.rates(t, jax.tree.unflatten(structure, y), gait))
+
     if accuracy.step is None:
         # Near rest the tyre is stiff and stability limits the step. Beyond that limit the derivatives would grow, which
         # the error control does not measure; with these proportional and integral gains the step does not overshoot.
         gains = {"pcoeff": 0.2, "icoeff": 0.4, "safety": 0.8, "norm": _error_size(len(jax.tree.leaves(state[0])))}
         # The bound uses at most half of the steps; the others remain for the time in which the board moves.
-        most = jnp.maximum(_stable_at_rest(model, gait, state, t0), 2 * (times[-1] - t0) / most_steps)
+        most = jnp.maximum(_stable_at_rest(rates, state, t0), 2 * (times[-1] - t0) / most_steps)
         controller = _RestBoundedPIDController(rtol=accuracy.rtol, atol=accuracy.atol, from_rest=most, **gains)
         dt0 = jnp.minimum(1e-3, most)
     else:
@@ -119,20 +126,13 @@ def _integrate(
     if jumps and accuracy.step is None:
         at = jnp.sort(jnp.concatenate(jumps))
         controller = diffrax.ClipStepSizeController(controller, jump_ts=jax.lax.stop_gradient(at))
-    # diffrax fails on an empty tuple inside the state, so it integrates the list of leaves.
-    leaves, structure = jax.tree.flatten(state)
-
-    def rates(t: Scalar, y: list[Scalar], args: AbstractInputs) -> list[Scalar]:
-        return jax.tree.leaves(model.rates(t, jax.tree.unflatten(structure, y), args))
-
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(rates),
+        diffrax.ODETerm(lambda t, y, _: rates(t, y)),
         diffrax.Tsit5(),
         t0=t0,
         t1=jnp.maximum(times[-1], t0 + 1e-9),
         dt0=dt0,
         y0=leaves,
-        args=gait,
         saveat=diffrax.SaveAt(ts=times),
         stepsize_controller=controller,
         adjoint=diffrax.ForwardMode() if forward else diffrax.RecursiveCheckpointAdjoint(),
@@ -181,14 +181,14 @@ class _RestBoundedPIDController(diffrax.PIDController):
         return keep, begin, end, jumped, memory, result
 
 
-def _stable_at_rest(model: Model, gait: AbstractInputs, state: Any, t: Scalar) -> Scalar:
+def _stable_at_rest(rates: Callable[[Scalar, list[Scalar]], list[Scalar]], state: Any, t: Scalar) -> Scalar:
     """The longest step [s] near rest, 2 / fastest decay rate: inside the stability interval of Tsit5."""
     body, memories = jax.tree.map(jnp.zeros_like, state)
     nudged = (*body[:3], *(part + NUDGE for part in body[3:]))
-    rates = [jax.tree.leaves(model.rates(t, (at, memories), gait)[0])[3:] for at in (body, nudged)]
-    if not rates[0]:  # The inputs alone prescribe the motion.
+    if not body[3:]:  # The inputs alone prescribe the motion.
         return jnp.asarray(jnp.inf)
-    fastest = jnp.max(jnp.abs(jnp.stack(rates[1]) - jnp.stack(rates[0]))) / NUDGE
+    still, moving = (rates(t, jax.tree.leaves((at, memories)))[3 : len(body)] for at in (body, nudged))
+    fastest = jnp.max(jnp.abs(jnp.stack(moving) - jnp.stack(still))) / NUDGE
     return 2.0 / jnp.maximum(jax.lax.stop_gradient(fastest), 1.0)
 
 
