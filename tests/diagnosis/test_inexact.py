@@ -1,13 +1,17 @@
 """The search for effects on Gram matrices, on made-up linear problems with a known answer."""
 
 from collections import OrderedDict
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy import stats
 
+from snakejax.core.parameter import Domain
+from snakejax.diagnosis.inexact.candidate_model import CandidateModel
 from snakejax.diagnosis.inexact.explaining import shares_of
 from snakejax.diagnosis.inexact.left_out import LeftOut
+from snakejax.diagnosis.inexact.search import FURTHEST_CONSTANT, FURTHEST_FACTOR, Search
 from snakejax.diagnosis.inexact.subsets import (
     Subsets,
     best_subset,
@@ -117,3 +121,39 @@ def test_shares_of_steps_add_up() -> None:
     steps = story().steps
     share, whole = shares_of(steps)
     assert sum(share.values()) == pytest.approx(whole)
+
+
+def test_the_linear_problem_keeps_constants_and_grip_within_what_it_holds_for() -> None:
+    """A vehicle without mass and grip needs no force: a step of -1 of their logarithms would explain all."""
+    positive, signed = Domain("kg", 1e-9, np.inf, True, True), Domain("N", -np.inf, np.inf, False, False)
+    domains = [positive, positive, signed]
+    segments = SimpleNamespace(
+        domains=domains,
+        multiplicative=np.array([True, True, False]),
+        step_between=lambda old, new: np.append(np.log(new[:2] / old[:2]), new[2:] - old[2:]),
+    )
+    model = CandidateModel(
+        None,  # type: ignore[arg-type]
+        ("tyre.D", "board.mass", "effects.drag.c"),
+        np.array([5.0, 7.0, 0.0]),
+        np.array([1.0, 0.03, 1.0]),
+        OrderedDict(drag=(2,)),
+        {},
+        (0, 1),
+        (0,),
+        (1,),
+    )
+    # The residual of a drag that acts, where mass, grip and drag are one force: r = y - D d.
+    D = np.array([[1.0, 0.0, 100.0], [0.0, 1.0, 100.0], [0.0, 0.0, 100.0]]) * 1e3
+    y = D @ np.array([0.0, 0.0, 0.1])
+    columns = np.column_stack([y, D])
+    search = Search(segments, model, None)  # type: ignore[arg-type]
+    found = search.subsets(np.array([5.0, 7.3, 0.0]), columns.T @ columns)
+    step = found.with_effects([]).step
+    assert abs(step[0]) <= np.log(FURTHEST_FACTOR) + 1e-12
+    mass = 7.3 * np.exp(step[1])
+    assert abs(np.log(mass / 7.0)) <= FURTHEST_CONSTANT * 0.03 + 1e-12
+    assert found.with_effects(["drag"]).step[2] == pytest.approx(0.1, rel=1e-4)
+    # Where the values are already further off, they may stay there.
+    far = search.subsets(np.array([5.0, 9.0, 0.0]), columns.T @ columns)
+    assert far.low[1] < 0.0 <= far.high[1]

@@ -1,5 +1,6 @@
 """Reports, opened in a real browser: no network, every control works, what is shown is what is in the JSON."""
 
+import dataclasses
 import json
 import re
 
@@ -10,6 +11,8 @@ from helpers.made_up_explanation import models, result, story
 from helpers.small_case import NASTY, NASTY_RUN, small
 
 from snakejax import Case, Fit, Noise
+from snakejax.diagnosis.explanation import RunBand
+from snakejax.estimation.goodness_of_fit import BAND
 from snakejax.present.as_json.fit import fit_json
 from snakejax.present.as_json.provenance import provenance_json
 from snakejax.present.as_text.tables import error, number
@@ -161,3 +164,22 @@ def test_a_tuned_gait(browser, tmp_path) -> None:
     assert "1.25 m, where the best known gait has 0.5 m" in seen.page.inner_text("h1")
     assert seen.traces("spread-objective")[0]["y"] == [1.2, 1.3, 1.1]
     assert [trace["name"] for trace in seen.traces("psi")] == ["best known", "tuned"]
+
+
+def test_a_band_is_drawn_over_what_was_measured() -> None:
+    """The run that was measured less its prediction, and 1.96 standard deviations to both sides, in mm and mrad."""
+    t, sd = np.arange(0.0, 3.0, 0.01), np.tile([0.002, 0.003, 0.001], (300, 1))
+    residual = sd * np.random.default_rng(1).normal(size=sd.shape)
+    residual[50:60] = np.nan
+    band = RunBand.of("there", "heldout", t, residual, sd)
+    seen = np.isfinite(residual)
+    assert band.inside == (np.abs(residual[seen] / sd[seen]) <= BAND).mean()
+    text = explanation_page(dataclasses.replace(story(), bands=(band,)), result(), models())
+    charts = json.loads(re.search(r'<script id="charts" type="application/json">(.*?)</script>', text, re.S)[1])
+    areas, lines = charts["chart-band-0"]["data"][::2], charts["chart-band-0"]["data"][1::2]
+    for channel, (area, line) in enumerate(zip(areas, lines, strict=True)):
+        end = 1e3 * BAND * sd[0, channel]
+        assert (min(area["y"]), max(area["y"])) == pytest.approx((-end, end), rel=1e-5)
+        assert line["y"][:50] == pytest.approx(list(1e3 * residual[:50, channel]), rel=1e-5)
+        assert line["y"][50:60] == [None] * 10
+    assert f"{100 * band.inside:.1f}% inside" in text

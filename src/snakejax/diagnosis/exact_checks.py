@@ -4,7 +4,6 @@ import numpy as np
 
 from snakejax.core.parameter import parameters
 from snakejax.estimation.fitted_model import FittedModel
-from snakejax.estimation.goodness_of_fit import BAND
 
 from .explanation import RunBand
 from .odd_runs import OddRun, odd_runs, run_grams
@@ -15,12 +14,11 @@ from .selection.screening import window_sensitivities
 
 def bands_of(fitted: FittedModel) -> tuple[RunBand, ...]:
     """The share of each run inside the bands of 95%, which are those of the noise alone."""
-    bands = []
-    for run, residual in zip(fitted.recordings, fitted.residuals, strict=True):
-        seen = residual[np.isfinite(residual)]
-        if seen.size:
-            bands.append(RunBand(run.name, run.role, float((np.abs(seen) <= BAND).mean())))
-    return tuple(bands)
+    sd = np.asarray(fitted.noise.channels)
+    return tuple(
+        RunBand.of(run.name, run.role, np.asarray(run.times), residual * sd, np.tile(sd, (len(residual), 1)))
+        for run, residual in zip(fitted.recordings, fitted.residuals, strict=True)
+    )
 
 
 def odd_runs_beside(candidate_set: CandidateSet, step: CandidateFit) -> tuple[OddRun, ...]:

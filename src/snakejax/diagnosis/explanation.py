@@ -3,8 +3,11 @@
 import dataclasses
 from typing import Any, NamedTuple
 
+import numpy as np
+from jaxtyping import Float
+
 from snakejax.core.tabular import Tabular, listed, three_digits
-from snakejax.estimation.goodness_of_fit import score_columns
+from snakejax.estimation.goodness_of_fit import BAND, score_columns
 from snakejax.estimation.uncertainty import Estimate
 from snakejax.recording.run import Case, Noise
 
@@ -39,15 +42,26 @@ class PoseError(NamedTuple):
 
 
 class RunBand(NamedTuple):
-    """How well the bands of 95% of a prediction from the start of a run hold what was measured: `inside`, the share of
-    its x, y and heading within 1.96 standard deviations of the prediction.
+    """How well the bands of 95% of a prediction from the start of a run hold what was measured.
 
-    The standard deviation counts parameters, random force and cameras.
+    `inside`: the share of its x, y and heading within 1.96 standard deviations of the prediction. At the `times` (n,)
+    [s]: the `residual` (n, 3), measured less predicted [m, m, rad], NaN where nothing was measured, and its standard
+    deviation `sd` (n, 3), which counts parameters, random force and cameras.
     """
 
     run: str
     role: str
     inside: float
+    times: Float[np.ndarray, " n"]
+    residual: Float[np.ndarray, "n 3"]
+    sd: Float[np.ndarray, "n 3"]
+
+    @staticmethod
+    def of(run: str, role: str, times: np.ndarray, residual: np.ndarray, sd: np.ndarray) -> "RunBand":
+        """The band of one run, with the share that it holds; 1 where nothing was measured."""
+        seen = np.isfinite(residual)
+        within = np.abs(residual[seen]) <= BAND * sd[seen]
+        return RunBand(run, role, float(within.mean()) if within.size else 1.0, times, residual, sd)
 
 
 class Remainder(NamedTuple):

@@ -11,6 +11,8 @@ from snakejax.estimation.uncertainty import Estimate
 from snakejax.recording.run import Case, Noise
 
 from ..explanation import Explanation, PoseError, Remainder, TriedCandidate
+from ..residuals.dependence import general_name, residual_dependence, significant_shares
+from ..residuals.replays import replay_runs
 from ..selection.candidates import CandidateSet
 from ..selection.steps import SelectionStep
 from .assessment import Assessment, assess
@@ -95,11 +97,17 @@ def shares_of(steps: Sequence[SelectionStep]) -> tuple[dict[str, float], float]:
 
 
 def _remainder(final: SelectionStep, floor: PoseError) -> Remainder:
-    """What the final model leaves of unseen runs above the floor, in squares."""
+    """What the final model leaves of unseen runs above the floor, in squares, and on what it depends in train runs."""
     judged = final.heldout or final.train
+    tracks = [replay.track for replay in replay_runs(final.fitted) if replay.role == "train"]
+    shares: dict[str, float] = {}
+    for share in significant_shares(residual_dependence(tracks)):
+        variable = general_name(share.variable)
+        shares[variable] = max(share.share, shares.get(variable, 0.0))
     return Remainder(
         float(np.sqrt(max(judged.position_m**2 - floor.position_m**2, 0.0))),
         float(np.sqrt(max(judged.heading_rad**2 - floor.heading_rad**2, 0.0))),
+        tuple(sorted(shares.items(), key=lambda pair: -pair[1])),
     )
 
 

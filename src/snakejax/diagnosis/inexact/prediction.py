@@ -16,7 +16,7 @@ from snakejax.estimation.discrepancy.kalman import (
 from snakejax.estimation.discrepancy.least_squares import Optimum
 from snakejax.estimation.discrepancy.open_loop import open_loop
 from snakejax.estimation.discrepancy.segments import Segments
-from snakejax.estimation.goodness_of_fit import BAND, NOISE_SIGMAS
+from snakejax.estimation.goodness_of_fit import NOISE_SIGMAS
 from snakejax.recording.run import Run
 
 from ..explanation import RunBand
@@ -63,8 +63,7 @@ def predictive_check(data: SegmentData, best: Optimum, discrepancy: Discrepancy)
 
 def bands(runs: Sequence[Run], data: SegmentData, best: Optimum, discrepancy: Discrepancy) -> tuple[RunBand, ...]:
     """How well bands of 95%, predicted from the start of each run, hold what was measured."""
-    inside = open_loop(data, discrepancy, best.free).inside(BAND, covariance=best.covariance)
-    return _named(runs, inside)
+    return _named(runs, *open_loop(data, discrepancy, best.free).predicted(covariance=best.covariance))
 
 
 def left_out_bands(
@@ -84,9 +83,12 @@ def left_out_bands(
         kept = [fit.free.index(column) for column in fit.free if column in free]
         covariance[k][np.ix_(place, place)] = fit.covariance[np.ix_(kept, kept)]
     steps = np.array([fit.step[list(free)] for fit in fits])
-    inside = open_loop(data, discrepancy, free).inside(BAND, steps, covariance)
-    return _named(runs, inside)
+    return _named(runs, *open_loop(data, discrepancy, free).predicted(steps, covariance))
 
 
-def _named(runs: Sequence[Run], inside: np.ndarray) -> tuple[RunBand, ...]:
-    return tuple(RunBand(run.name, run.role, float(share)) for run, share in zip(runs, inside, strict=True))
+def _named(runs: Sequence[Run], residual: np.ndarray, sd: np.ndarray) -> tuple[RunBand, ...]:
+    made = []
+    for run, left, error in zip(runs, residual, sd, strict=True):
+        times = np.asarray(run.times)
+        made.append(RunBand.of(run.name, run.role, times, left[: len(times)], error[: len(times)]))
+    return tuple(made)

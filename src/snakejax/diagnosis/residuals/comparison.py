@@ -17,12 +17,10 @@ from snakejax.estimation.initial_model import starting_model
 from snakejax.recording.quality import noise_of
 from snakejax.recording.run import Case, Noise
 
-from .dependence import VarianceShare, residual_dependence
+from .dependence import LEVEL, VarianceShare, residual_dependence, significant_shares
 from .intervals import IntervalMisfit, LargestResidual, interval_misfits, largest_residuals
 from .replays import replay_fit
 from .whiteness import Whiteness, whiteness
-
-ALPHA = 0.05
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -37,12 +35,12 @@ class Comparison(Tabular):
     @property
     def white(self) -> bool:
         """No run and channel differs from white noise, at 5% for all of them together (Bonferroni)."""
-        return all(test.p_value * len(self.whiteness) > ALPHA for test in self.whiteness)
+        return all(test.p_value * len(self.whiteness) > LEVEL for test in self.whiteness)
 
     @property
     def depends_on(self) -> tuple[VarianceShare, ...]:
         """The shares that are not chance, at 5% for all of them together, the largest first."""
-        return tuple(share for share in self.shares if share.p_family <= ALPHA)
+        return significant_shares(self.shares)
 
     def headline(self) -> str:
         """Whether only noise is left, on what the residual depends, and where it is largest."""

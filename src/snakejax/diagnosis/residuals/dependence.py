@@ -15,6 +15,8 @@ KNOTS = 6
 HARMONICS = 3
 SPAN = 0.25
 """The rate of a residual is taken over this time [s]: short against a gait, long against a frame."""
+LEVEL = 0.05
+"""Level of the test of all pairs of a variable and a channel together."""
 CIRCULAR = ("gait_phase", "heading")
 """Variables that are angles: what depends on them has no beginning and no end."""
 
@@ -58,6 +60,19 @@ def residual_dependence(
         return ()
     pairs, observed, chance, null = zip(*named, strict=True)
     return _ranked(pairs, np.array(observed), np.array(chance), np.array(null))
+
+
+def significant_shares(shares: Sequence[VarianceShare]) -> tuple[VarianceShare, ...]:
+    """The shares that are not chance, at `LEVEL` for all of them together, in their order."""
+    return tuple(share for share in shares if share.p_family <= LEVEL)
+
+
+def general_name(variable: str) -> str:
+    """The variable of a missing force that `variable` of a residual is a part of: x and y are the place in the world,
+    and each wheelset has a slip of its own."""
+    if variable in ("x", "y"):
+        return "world_position"
+    return "slip" if variable.startswith("slip_") else variable
 
 
 def rate(track: ResidualSeries) -> Float[np.ndarray, "n 3"]:

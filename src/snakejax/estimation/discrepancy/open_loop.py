@@ -27,10 +27,11 @@ class OpenLoop(NamedTuple):
     variance: Float[np.ndarray, "R K n 3"]
     present: Float[np.ndarray, "R K n 3"]
 
-    def inside(
-        self, sigmas: float, step: Float[np.ndarray, "R k"] | None = None, covariance: np.ndarray | None = None
-    ) -> Float[np.ndarray, " R"]:
-        """The share of the measured numbers of each run within so many standard deviations of the prediction.
+    def predicted(
+        self, step: Float[np.ndarray, "R k"] | None = None, covariance: np.ndarray | None = None
+    ) -> tuple[Float[np.ndarray, "R N 3"], Float[np.ndarray, "R N 3"]]:
+        """Measured less predicted pose of all samples in their order [m, m, rad], NaN where none was measured, and the
+        standard deviation of each.
 
         The prediction is that after a `step` (R, k) of the parameters, one for each run, whose errors have the
         `covariance` (k, k) or (R, k, k).
@@ -42,8 +43,8 @@ class OpenLoop(NamedTuple):
         if covariance is not None:
             each = np.broadcast_to(covariance, (len(residual), *np.shape(covariance)[-2:]))
             variance = variance + np.einsum("rkncp,rpq,rkncq->rknc", derivatives, each, derivatives)
-        within = (np.abs(residual) <= sigmas * np.sqrt(variance)) * self.present
-        return within.sum(axis=(1, 2, 3)) / np.maximum(self.present.sum(axis=(1, 2, 3)), 1)
+        flat = (len(residual), -1, residual.shape[-1])
+        return np.where(self.present > 0, residual, np.nan).reshape(flat), np.sqrt(variance).reshape(flat)
 
     @property
     def rms_sd(self) -> Float[np.ndarray, "R 3"]:

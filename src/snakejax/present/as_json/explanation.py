@@ -68,7 +68,7 @@ def explanation_json(explanation: Explanation, provenance: Json, seconds: Json |
             "constants": _named(explanation.constants),
         },
         "candidates": [row._asdict() for row in explanation.candidates],
-        "bands": [band._asdict() for band in explanation.bands],
+        "bands": [{"run": b.run, "role": b.role, "inside": b.inside} for b in explanation.bands],
         "odd_runs": [odd._asdict() for odd in explanation.odd_runs],
         "unexplained": unexplained_json(explanation) if explanation.verdict == "unexplained" else None,
         "seconds": seconds,

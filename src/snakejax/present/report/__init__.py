@@ -34,7 +34,7 @@ from .design import tune_page
 from .page import Model, Page, Section, render
 from .parameters import parameters
 from .player import movie
-from .residuals import residuals
+from .residuals import prediction_bands, residuals
 from .sweep import sweep_page
 
 
@@ -89,6 +89,8 @@ def explanation_page(found: Explanation, result: Json, models: Sequence[ModelVie
         beside = (floor_sentences, horizon_sentences, band_sentences, odd_run_sentences)
         said += [line for sentences in beside for line in sentences(found)]
         parts.append(certainty(result, said))
+    if found.bands:
+        parts.append(prediction_bands(found.bands, models[-1].look, found.floor is None))
     parts += [
         parameters(result, [found.base.fitted, found.final.fitted]),
         candidates(result, found.base.description_of, [step.predicted_of_runs for step in found.steps]),

@@ -5,11 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from snakejax.diagnosis.explanation import RunBand
 from snakejax.diagnosis.residuals.whiteness import autocorrelation
+from snakejax.estimation.goodness_of_fit import BAND
 
-from ..style import MEASURED
+from ..style import MEASURED, LineStyle
 from ..views import ModelView
-from .chart import Chart, Trace, axis_name, line, stacked, thinned
+from .chart import Chart, Trace, axis_name, band, line, stacked, thinned
 from .page import Section
 
 CHANNELS = ("x<br>[mm]", "y<br>[mm]", "heading<br>[mrad]")
@@ -41,6 +43,36 @@ def _over_time(model: ModelView, k: int) -> Chart:
     label = f"The residual of {scene.run} over time, {model.label}."
     layout = stacked("time [s]", CHANNELS)
     return Chart(f"residual-{k}-{model.key}", label, tuple(traces), layout, 330, scene.run, model.key)
+
+
+def prediction_bands(bands: Sequence[RunBand], look: LineStyle, exact: bool) -> Section:
+    """For each run what was measured less what is predicted from its start, and the 95% band of the prediction.
+
+    `exact`: the bands are those of the noise alone.
+    """
+    sentence = (
+        "Measured less predicted pose of each run, simulated from its start and corrected nowhere, over the 95% band of"
+        " the prediction. "
+    ) + (
+        "The band is that of the noise."
+        if exact
+        else "The band counts parameters, random force and cameras; train runs are predicted with the parameters of the"
+        " others."
+    )
+    charts = tuple(_band_over_time(one, k, look) for k, one in enumerate(bands))
+    return Section("bands", "Predictions and their bands", (sentence,), charts, wide=False)
+
+
+def _band_over_time(one: RunBand, k: int, look: LineStyle) -> Chart:
+    thin = thinned(one.times.size)
+    times, left, ends = one.times[thin], 1e3 * one.residual[thin], 1e3 * BAND * one.sd[thin]
+    traces: list[Trace] = []
+    for c, name in enumerate(CHANNELS):
+        traces.append(band(times, -ends[:, c], ends[:, c], "95% band", look, yaxis=axis_name(c)))
+        traces.append(line(times, left[:, c], name, MEASURED, width=1.2, yaxis=axis_name(c)))
+    label = f"What was measured in {one.run} less its prediction, over the 95% band of the prediction."
+    caption = f"{one.run}: {100 * one.inside:.1f}% inside the 95% bands of its prediction"
+    return Chart(f"band-{k}", label, tuple(traces), stacked("time [s]", CHANNELS), 330, one.run, caption=caption)
 
 
 def _autocorrelation(models: Sequence[ModelView]) -> Chart:

@@ -1,0 +1,75 @@
+"""A board as real ones are: other constants than stated, noise that wanders, a law that no library holds."""
+
+from collections import OrderedDict
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from snakejax import Board, Case, Force, Gait, Model, Noise, Pacejka, Run, Sines, explain, param, simulate
+from snakejax.effects import LIBRARY
+
+pytestmark = pytest.mark.slow
+
+WHITE, WANDER, WANDER_TIME = np.array([3e-4, 3e-4, 1e-3]), np.array([5e-4, 5e-4, 1.5e-3]), 0.2
+STATED = {"mass": 7.0, "rotor_inertia": 0.0238, "wheelset_inertia": 0.001, "half_length": 0.25, "creep_speed": 0.01}
+ROLLING = 0.07
+GAITS = {
+    "forward": ([[0.9, 4.0, 0.0]], [[1.57, 4.0, 0.0]], "train"),
+    "rotate": ([[0.9, 2.0, 0.0]], [[1.57, 4.0, 0.0]], "train"),
+    "arc": ([[0.5, 3.0, 0.0], [0.25, 0.6, 0.0]], [[1.57, 3.0, 0.0]], "train"),
+    "wander": ([[0.5, 2.1, 0.0], [0.3, 3.7, 0.4]], [[1.2, 2.1, 0.2], [0.9, 4.3, 0.0]], "train"),
+    "reverse": ([[0.7, 3.0, 0.0]], [[1.4, 3.0, 3.14159]], "heldout"),
+}
+
+
+class Washboard(Force):
+    """A resistance that changes along x, as over planks."""
+
+    depth: jnp.ndarray = param("N", default=0.0)
+
+    def wrench(self, motion):
+        """(X, Y, N) against the motion along the board."""
+        along = -self.depth * jnp.cos(9.0 * motion.x) * jnp.tanh(motion.u / 0.05)
+        return along, jnp.zeros_like(along), jnp.zeros_like(along)
+
+
+def noise(rng: np.random.Generator, count: int, step: float) -> np.ndarray:
+    """White noise and an Ornstein-Uhlenbeck process (count, 3)."""
+    decay, wander = np.exp(-step / WANDER_TIME), [rng.normal(size=3)]
+    for _ in range(count - 1):
+        wander.append(decay * wander[-1] + np.sqrt(1 - decay**2) * rng.normal(size=3))
+    return WHITE * rng.normal(size=(count, 3)) + WANDER * np.array(wander)
+
+
+def recorded(effects: dict, seed: int) -> Case:
+    """Runs of a board 3% lighter, of which 5% more inertia is stated than it has."""
+    true = Board(**(STATED | {"mass": 6.8, "rotor_inertia": 0.0232}), inertia=0.42)
+    stated = Board(**STATED, inertia=0.44)
+    tyre, rng, times = Pacejka(7.5, 1.35, 5.5, 0.3), np.random.default_rng(seed), jnp.arange(0.0, 10.0, 0.02)
+    model = Model(true, tyre, "free", OrderedDict(effects))
+    runs = []
+    for name, (phi, psi, role) in GAITS.items():
+        gait = Gait(Sines.of(phi), Sines.of(psi))
+        start = (*rng.normal(0.0, 0.3, size=2), rng.uniform(-3.0, 3.0))
+        pose = np.asarray(simulate(model, gait, times, start).pose) + noise(rng, len(times), 0.02)
+        runs.append(Run(name, role, times, jnp.asarray(pose), gait))
+    said = Noise(jnp.asarray(5.8e-4), jnp.asarray(1.8e-3), source="made up")
+    return Case("planks", "planks", "free", stated, tuple(runs), said, {"planks": "0"})
+
+
+def test_a_strong_effect_is_found_beside_what_no_model_holds() -> None:
+    """Without limits to the constants, a board without mass, grip and inertia took the place of rolling resistance."""
+    rolling = LIBRARY["rolling_resistance"](f=jnp.asarray(ROLLING))
+    case = recorded({"planks": Washboard(jnp.asarray(0.01)), "rolling_resistance": rolling}, 1)
+    library = {name: kind() for name, kind in LIBRARY.items()}
+    found = explain(case, case.noise, library)
+    assert found.verdict == "explained"
+    assert found.effects[0] == "rolling_resistance" and found.confidence["rolling_resistance"] == "sure"
+    assert not [e for e in found.effects[1:] if found.confidence[e] == "sure"]
+    estimate = found.final.estimates["effects.rolling_resistance.f"]
+    assert abs(estimate.value - ROLLING) < 3.3 * estimate.sd and estimate.sd < 0.1 * ROLLING
+    assert found.share["rolling_resistance"] > 0.95
+    assert 0.85 < np.mean([band.inside for band in found.bands]) <= 1.0
+    assert found.final.heldout.misfit < 0.01 * found.base.heldout.misfit
+    assert all(0.0 < share <= 1.0 for _, share in found.remainder.depends_on)
