@@ -152,7 +152,8 @@ def _when_no_model_is_exact(
 ) -> Explanation | None:
     """The explanation with a random force, wandering noise and constants within their priors.
 
-    None where no such thing is found, so that a model is exact, and where what is left is a law that the model lacks.
+    None where no such thing is found, so that a model is exact; and where a law is lacking: its force is too large for
+    a random one, errors grow faster than a random force lets them, or what was found does not lower the error.
     """
     candidate_set = diagnosis.switched[0] if diagnosis.switched else diagnosis.base.candidate_set
     if not supports(candidate_set):
@@ -166,7 +167,21 @@ def _when_no_model_is_exact(
         return None
     if found.inside("train") < criteria.least_inside:
         return None
-    return explanation_of(case, noise, found, candidate_set, diagnosis.base.record)
+    explanation = explanation_of(case, noise, found, candidate_set, diagnosis.base.record)
+    return explanation if _lowers_error(explanation) else None
+
+
+def _lowers_error(explanation: Explanation) -> bool:
+    """Whether the effects, where any are claimed, lower the error of whole runs, train and held-out ones.
+
+    The likelihood with a random force may prefer effects that do not: they then stand in for a law that the model
+    lacks, and the force takes up what they cannot do.
+    """
+    base, final = explanation.base, explanation.final
+    pairs = [(base.train, final.train), (base.heldout, final.heldout)]
+    return not explanation.effects or all(
+        after.misfit < before.misfit for before, after in pairs if before is not None and after is not None
+    )
 
 
 def _steps_beyond_base(diagnosis: BaseDiagnosis, progress: Progress, show: Show) -> list[WorkingStep]:
