@@ -61,7 +61,8 @@ def score(found: dict[str, Any], key: dict[str, Any], truth: dict[str, Any] | No
         "first": next(iter(claimed), top),
         "top_ranked": top,
         "holds": holds(final, key),
-        "ratio": ratio(final, key, truth),
+        "ratio": ratio(final, key, truth and truth["heldout"]),
+        "known_ratio": ratio(final, key, truth and truth.get("known")),
         "helpers": [name for name in final.get("effects") or {} if name not in claimed],
         "seconds": found["seconds"]["total"],
     }
@@ -99,14 +100,15 @@ def holds(final: dict[str, Any], key: dict[str, Any]) -> dict[str, bool]:
     return found
 
 
-def ratio(final: dict[str, Any], key: dict[str, Any], truth: dict[str, Any] | None) -> float | None:
-    """Held-out error of the final model over that of the true one: both channels over the noise, root mean square."""
-    if not truth or not truth["heldout"] or not (final.get("rmse") or {}).get("heldout"):
+def ratio(final: dict[str, Any], key: dict[str, Any], reached: dict[str, Any] | None) -> float | None:
+    """Held-out error of the final model over that `reached` by another: both channels over the noise, root mean
+    square."""
+    if not reached or not (final.get("rmse") or {}).get("heldout"):
         return None
     position, heading = (math.hypot(*two) for two in zip(key["noise"]["white"], key["noise"]["wander"], strict=True))
     mine, best = (
         math.hypot(one["position_m"] / position, one["heading_rad"] / heading)
-        for one in (final["rmse"]["heldout"], truth["heldout"])
+        for one in (final["rmse"]["heldout"], reached)
     )
     return mine / best
 

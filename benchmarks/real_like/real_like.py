@@ -9,7 +9,8 @@ none are named. What counts as true, sure and first: judge.py.
 
 The held-out error is compared with that of the true model, which has all hidden effects and the true constants: its
 tyre, effects and start poses are refitted by this folder's own plant to the train runs and, as in the program, the
-start poses alone to the held-out runs. Effects above their detectable size are those with 3.92 standard errors there.
+start poses alone to the held-out runs. Beside it stands the same without the law that no library holds, which is the
+best that effects of a library can do. Effects above their detectable size are those with 3.92 standard errors there.
 
 Needs the extra `bench`: numba integrates the plant.
 """

@@ -1,5 +1,6 @@
 """What the best that is possible leaves: the true model with its true constants, its values refitted."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -88,6 +89,17 @@ def left_out(run: Run, values: dict, pose: np.ndarray, scale: np.ndarray) -> np.
 
 def refit(board: Hidden, poses: dict[str, np.ndarray]) -> dict:
     """Errors of the true model on the held-out runs, refitted to the train runs, and the standard error of each value.
+
+    `known`: the same errors without the strange law, which is the best that effects of a library can do.
+    """
+    best, plain = refitted(board, poses), board
+    if board.strange:
+        plain = dataclasses.replace(board, values={n: v * (n not in STRANGE_USUAL) for n, v in board.values.items()})
+    return best | {"known": refitted(plain, poses)["heldout"] if board.strange else best["heldout"]}
+
+
+def refitted(board: Hidden, poses: dict[str, np.ndarray]) -> dict:
+    """The model of `board` refitted to the train runs.
 
     Held-out errors are roots of mean squares as in the JSON of the program: position_m of both axes together.
     """
