@@ -196,7 +196,7 @@ def test_new_then_check(say, tmp_path: Path) -> None:
     assert say("new", folder).status == 0
     said = say("check", folder)
     assert said.status == 2 and LINE.fullmatch(said.err)
-    assert "mass_kg (line 7), rotor_inertia_kgm2 (line 8)" in said.err and 'are still "?"' in said.err
+    assert "mass_kg (line 8), rotor_inertia_kgm2 (line 9)" in said.err and 'are still "?"' in said.err
     text = (folder / "case.toml").read_text()
     for key, value in {"mass": 7, "rotor_inertia": 0.0238, "wheelset_inertia": 0.001, "half_length": 0.25}.items():
         text = re.sub(rf'^({key}_\w+) = "\?"', rf"\1 = {value}", text, flags=re.MULTILINE)
