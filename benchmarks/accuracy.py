@@ -39,8 +39,9 @@ import equinox as eqx  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
-from snakejax import Case, Explanation, explain  # noqa: E402
+from snakejax import Case, Explanation  # noqa: E402
 from snakejax.core.parameter import parameters  # noqa: E402
+from snakejax.diagnosis import explain  # noqa: E402
 from snakejax.diagnosis.selection.candidates import CandidateFit, CandidateSet  # noqa: E402
 from snakejax.diagnosis.selection.criteria import CRITERIA  # noqa: E402
 from snakejax.diagnosis.selection.refit import refit  # noqa: E402

@@ -21,7 +21,8 @@ prepare_jax()
 import boards  # noqa: E402
 from accuracy import CANDIDATES, SIZES, Results, recorded, with_effect  # noqa: E402
 
-from snakejax import Case, explain  # noqa: E402
+from snakejax import Case  # noqa: E402
+from snakejax.diagnosis import explain  # noqa: E402
 from snakejax.diagnosis.selection.criteria import CRITERIA  # noqa: E402
 
 VARIED = (

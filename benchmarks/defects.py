@@ -101,7 +101,7 @@ def fits(folder: Path) -> None:
     """A defect in every run of a case: its fit beside that of the clean case, with the remedies and as recorded."""
     case = sj.load_case(folder)
     model = sj.starting_model(case)
-    clean = sj.fit(model, case.runs, case.noise).estimates
+    clean = sj.estimation.fit(model, case.runs, case.noise).estimates
     print(f"\n{folder.name}: largest change of B, C, D, E in standard errors; misfit (clean 1)")
     print("defect            size   with remedies        as recorded")
     for name, size in FITTED:
@@ -119,7 +119,7 @@ def fits(folder: Path) -> None:
                 told.append("refused")
                 continue
             try:
-                found = sj.fit(model, seen.case.runs, case.noise)
+                found = sj.estimation.fit(model, seen.case.runs, case.noise)
             except sj.FitError:
                 told.append("fails")
                 continue

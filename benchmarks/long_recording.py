@@ -103,7 +103,8 @@ def simulated(path: Path, n: int) -> None:
 
 def measured(work: str, path: str) -> None:
     """Do it in this process and print seconds and MiB."""
-    from snakejax import fit, load_case, noise_of, prepare_jax, read_track, starting_model
+    from snakejax import load_case, noise_of, prepare_jax, read_track, starting_model
+    from snakejax.estimation import fit
     from snakejax.recording.readers import FileAnnotations
 
     places = {f"board:{i}": place for i, place in enumerate(PLACES)}

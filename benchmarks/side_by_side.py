@@ -63,7 +63,8 @@ def gains(count: int):
 
 def one_fit() -> Callable[[], object]:
     """Fit the tyre of level-board to its five recordings and score the runs held out."""
-    from snakejax import fit, load_case, starting_model
+    from snakejax import load_case, starting_model
+    from snakejax.estimation import fit
 
     case = load_case(HERE / "data" / "level-board")
     return lambda: fit(starting_model(case), case.runs, case.noise)

@@ -94,9 +94,9 @@ def main(times: float) -> None:
     shape = sj.SumsOfSines((LIMITS.phi.angle, LIMITS.psi.angle), band(LIMITS, SECONDS), TERMS)
     ask = RolloutSpec(shape, driver, jnp.array([0.0, SECONDS]), jnp.zeros(3), False)
 
-    sj.tune(model, sj.Distance(), LIMITS, SECONDS, driver=driver, starts=1, most=1)  # compiled
+    sj.design.tune(model, sj.Distance(), LIMITS, SECONDS, driver=driver, starts=1, most=1)  # compiled
     began = time.perf_counter()
-    ours = sj.tune(model, sj.Distance(), LIMITS, SECONDS, driver=driver)
+    ours = sj.design.tune(model, sj.Distance(), LIMITS, SECONDS, driver=driver)
     seconds = {"tune": time.perf_counter() - began}
     budget = int(times * ours.simulations)
 

@@ -28,7 +28,7 @@ def main(folder: Path) -> sj.Explanation:
     # 2. Let the package do what a careful experimenter would: fit the tyre, look at what is left, score every known
     #    effect beside it, add the one that explains most, fit again, and stop when only noise is left.
     candidates = {name: kind() for name, kind in LIBRARY.items()}
-    found = sj.explain(case, noise, candidates, show=tell)
+    found = sj.diagnosis.explain(case, noise, candidates, show=tell)
 
     # 3. The verdict, with the size of the effect and its standard error.
     print(f"{found.verdict}: {', '.join(found.effects)}")

@@ -50,7 +50,7 @@ def main(file: Path) -> None:
 
 def row(case: sj.Case, model: sj.Model) -> dict[str, Any]:
     """What a fit of `model` leaves, and its tyre."""
-    fit = sj.fit(model, case.runs, sj.noise_of(case))
+    fit = sj.estimation.fit(model, case.runs, sj.noise_of(case))
     assert fit.heldout_score is not None
     return {
         "train": {"position_m": fit.train_score.position_m, "misfit": fit.train_score.misfit},

@@ -58,7 +58,7 @@ def main(folder: Path, pairs=PAIRS, trials: int = 200, **how) -> list[Proof]:
     """Designs and proves every pair; writes figure and table."""
     case = sj.load_case(DATA / "level-board")
     noise = sj.noise_of(case)
-    fit = sj.fit(sj.starting_model(case), case.runs, noise)
+    fit = sj.estimation.fit(sj.starting_model(case), case.runs, noise)
     proofs = []
     # All candidates in one model, so that all pairs share what is compiled.
     known = sj.prior_information(fit, {name: LIBRARY[name]() for pair in pairs for name in pair})

@@ -26,7 +26,7 @@ def main(folder: Path) -> tuple[sj.Explanation, sj.Explanation]:
     candidates = {name: kind() for name, kind in LIBRARY.items()}
 
     # 1. No known effect explains the recording. The force that is missing is estimated instead, and what it depends on.
-    before = sj.explain(case, noise, candidates)
+    before = sj.diagnosis.explain(case, noise, candidates)
     assert before.missing is not None
     print(f"{before.verdict}, error {error_text(before.final.train)}; the missing force depends on")
     for variable, share in before.missing.depends_on[:3]:
@@ -44,7 +44,7 @@ def main(folder: Path) -> tuple[sj.Explanation, sj.Explanation]:
     from missing_force import MissingForce
 
     rivals = {name: candidates[name] for name in before.partial}
-    after = sj.explain(case, noise, {**rivals, "missing_force": MissingForce()})
+    after = sj.diagnosis.explain(case, noise, {**rivals, "missing_force": MissingForce()})
     print(f"{after.verdict}: {', '.join(after.effects)}, error {error_text(after.final.train)}")
     for name, estimate in after.final.estimates.items():
         print(f"  {name} = {estimate.value:.5g} +- {estimate.sd:.2g} {estimate.unit}")

@@ -45,14 +45,14 @@ class Gaits(NamedTuple):
 def main(folder: Path, **how) -> Gaits:
     """Tunes all three and writes the figures."""
     case = sj.load_case(DATA / "level-board")
-    board = sj.fit(sj.starting_model(case), case.runs, sj.noise_of(case)).model
+    board = sj.estimation.fit(sj.starting_model(case), case.runs, sj.noise_of(case)).model
     example = sj.preset("paper-forward")
     forward, limits = example.gait, sj.Limits.of(LIMITS)
     how = {"driver": sj.Controller.of(forward), "given": [forward], **how}
 
-    far = sj.tune(board, sj.Distance(), limits, 8.0, **how)
-    there = sj.tune(board, sj.Reach(*POSE), limits, 20.0, **how)
-    weak = sj.tune(example.model, sj.Distance(), limits, 8.0, **how)
+    far = sj.design.tune(board, sj.Distance(), limits, 8.0, **how)
+    there = sj.design.tune(board, sj.Reach(*POSE), limits, 20.0, **how)
+    weak = sj.design.tune(example.model, sj.Distance(), limits, 8.0, **how)
 
     paper = (gone(board, forward, 8.0), gone(example.model, forward, 8.0))
     hardest = float(example.model.tyre.force(np.asarray(np.pi / 2), np.asarray(1.0)))

@@ -6,6 +6,7 @@ import numpy as np
 
 import snakejax as sj
 from snakejax.effects import LongitudinalSlip
+from snakejax.estimation import fit
 from snakejax.present import plot
 from snakejax.present.as_text.errors import three_digits, times_noise, times_noise_text
 
@@ -22,11 +23,11 @@ def recorded(folder: Path, recordings: list[Path]) -> tuple[list[Claim], str]:
         case = sj.load_case(place)
         noise = sj.noise_of(case)
         forward = [run for run in case.having("train") if "forward" in run.name]
-        beaten.append(times_noise(sj.fit(sj.starting_model(case, "rayleigh"), forward, noise).train_score.misfit))
+        beaten.append(times_noise(fit(sj.starting_model(case, "rayleigh"), forward, noise).train_score.misfit))
         fits = {
-            "rayleigh": sj.fit(sj.starting_model(case, "rayleigh"), case.runs, noise),
-            "pacejka": sj.fit(sj.starting_model(case), case.runs, noise),
-            "slip": sj.fit(sj.starting_model(case).add(longitudinal_slip=LongitudinalSlip()), case.runs, noise),
+            "rayleigh": fit(sj.starting_model(case, "rayleigh"), case.runs, noise),
+            "pacejka": fit(sj.starting_model(case), case.runs, noise),
+            "slip": fit(sj.starting_model(case).add(longitudinal_slip=LongitudinalSlip()), case.runs, noise),
         }
         if place == recordings[0]:
             for kind in ("rayleigh", "pacejka"):

@@ -1,4 +1,5 @@
 # The public names, from which they are imported when first used.
+from . import commands as commands
 from . import core as core
 from . import design as design
 from . import diagnosis as diagnosis
@@ -9,6 +10,12 @@ from . import present as present
 from . import recording as recording
 from . import simulation as simulation
 from . import vehicles as vehicles
+from .commands import compare as compare
+from .commands import diagnose as diagnose
+from .commands import explain as explain
+from .commands import fit as fit
+from .commands import load_model as load_model
+from .commands import tune as tune
 from .core import FitError as FitError
 from .core import InputError as InputError
 from .core import Scalar as Scalar
@@ -34,16 +41,12 @@ from .design import design_discrimination as design_discrimination
 from .design import design_precision as design_precision
 from .design import most_confusable as most_confusable
 from .design import prior_information as prior_information
-from .design import tune as tune
 from .diagnosis import Comparison as Comparison
 from .diagnosis import Diagnosis as Diagnosis
 from .diagnosis import Explanation as Explanation
 from .diagnosis import LatentForce as LatentForce
 from .diagnosis import SelectionStep as SelectionStep
-from .diagnosis import compare as compare
-from .diagnosis import diagnose as diagnose
 from .diagnosis import effect_template as effect_template
-from .diagnosis import explain as explain
 from .dynamics import Bakker as Bakker
 from .dynamics import Delay as Delay
 from .dynamics import Effect as Effect
@@ -68,7 +71,6 @@ from .dynamics import Wheel as Wheel
 from .dynamics import Wheelset as Wheelset
 from .estimation import Estimate as Estimate
 from .estimation import Fit as Fit
-from .estimation import fit as fit
 from .estimation import fit_logged as fit_logged
 from .estimation import posterior_samples as posterior_samples
 from .estimation import profile as profile

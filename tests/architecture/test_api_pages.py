@@ -18,7 +18,8 @@ FACES = {
     "estimation": ("estimation",),
     "diagnosis": ("diagnosis",),
     "design": ("design",),
-    "present": ("present.plot", "present.report"),
+    "commands": ("commands",),
+    "present": ("present.plot", "present.report", "present.exchange"),
 }
 """The page of each room, and the packages whose public names it shows."""
 

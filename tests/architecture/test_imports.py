@@ -22,6 +22,10 @@ ALLOWED: dict[str, set[str]] = {
     "estimation": {"core", "dynamics", "simulation", "recording"},
     "diagnosis": {"core", "dynamics", "simulation", "recording", "estimation"},
     "design": {"core", "dynamics", "simulation", "recording", "estimation"},
+    "commands": {
+        *("core", "dynamics", "vehicles", "effects", "simulation", "recording", "estimation"),
+        *("diagnosis", "design", "present"),
+    },
     "present": {"core", "dynamics", "simulation", "recording", "estimation", "diagnosis", "design"},
 }
 PROGRAM = "cli"

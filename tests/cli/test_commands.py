@@ -118,7 +118,6 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        ((), "required: COMMAND"),
         (("fly",), "invalid choice: 'fly'"),
         (("fit",), "required: CASE"),
         (("fit", "nowhere"), "There is no such folder, nowhere: give the folder with case.toml"),
@@ -126,10 +125,10 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (("fit", LEVEL, "--foo"), "--foo"),
         (("fit", "paper-rotate"), "is a preset without recordings"),
         (("fit", LEVEL, "--free", "Q"), "No parameter is called `Q`, option --free"),
-        (("fit", LEVEL, "--effect", "ground_slop"), 'option --effect: write "ground_slope"'),
-        (("fit", LEVEL, "--effect", "ground_slope:q=1"), "no parameter `q`"),
+        (("fit", LEVEL, "--with", "ground_slop"), 'option --with: write "ground_slope"'),
+        (("fit", LEVEL, "--with", "ground_slope:q=1"), "no parameter `q`"),
         (("fit", LEVEL, "--effect", "rolling_resistance:f=-1"), "must be at least 0"),
-        (("fit", LEVEL, "--effect", "no.py:Spring"), "There is no file `no.py`"),
+        (("fit", LEVEL, "--with", "no.py:Spring"), "There is no file `no.py`"),
         (("fit", LEVEL, "--effect", "no.py"), "write no.py:Class"),
         (("fit", LEVEL, "--effect", "lateral_skid:x=1"), "has no parameters"),
         (("fit", LEVEL, "--effect", "com_offset", "--skid", "coupled"), "cannot act here"),
@@ -195,6 +194,14 @@ def test_a_pose_that_begins_with_a_minus_is_no_option() -> None:
 def test_new_then_check(say, tmp_path: Path) -> None:
     folder = tmp_path / "my-board"
     assert say("new", folder).status == 0
+    said = say("check", folder)
+    assert said.status == 2 and LINE.fullmatch(said.err)
+    assert "mass_kg (line 8), rotor_inertia_kgm2 (line 9)" in said.err and 'are still "?"' in said.err
+    text = (folder / "case.toml").read_text()
+    for key, value in {"mass": 7, "rotor_inertia": 0.0238, "wheelset_inertia": 0.001, "half_length": 0.25}.items():
+        text = re.sub(rf'^({key}_\w+) = "\?"', rf"\1 = {value}", text, flags=re.MULTILINE)
+    text = re.sub(r'^(phi|psi) = "\?"', r"\1 = [[0.9, 4.0, 0.0]]", text, flags=re.MULTILINE)
+    (folder / "case.toml").write_text(text)
     said = say("check", folder)
     assert said.status == 2
     assert "train-1.csv" in said.err
@@ -383,7 +390,7 @@ def test_an_effect_of_ones_own_is_fitted(say, short: Path, tmp_path: Path) -> No
     assert set(saved.effects["world_spring"]) == {"k"}
     said = say("simulate", short, "--from", path)
     assert said.status == 2
-    assert "with --effect FILE.py:Class" in said.err
+    assert "--with FILE.py:Class" in said.err
 
 
 def test_a_table_of_the_worst_fits_80_columns() -> None:
@@ -426,7 +433,7 @@ def test_explain_finds_a_level_board_adequate(say, short, tmp_path):
     found = json.loads(said.out)
     assert (found["verdict"], found["effects"], found["steps"]) == ("adequate", [], [])
     assert found["unexplained"] is None and found["final"]["misfit"] == found["base"]["misfit"]
-    assert (tmp_path / "fall.png").is_file() and (tmp_path / "explain.json").is_file()
+    assert (tmp_path / "explain-fall.png").is_file() and (tmp_path / "explain.json").is_file()
 
 
 @pytest.mark.slow
@@ -438,7 +445,7 @@ def test_sweep_writes_the_curve_and_the_figure(say, tmp_path):
     assert len(found["k_s"]) == len(found["mismatch"]) == 7 and len(found["polynomial"]) == 5
     assert found["fitted_range"] == [1.0, 4.0] and 0.9 < found["r_squared"] <= 1
     assert (tmp_path / "sweep.png").exists() and (tmp_path / "sweep.nc").exists()
-    assert len(list((tmp_path / "pieces").glob("*/*.npz"))) == 1
+    assert len(list((tmp_path / "sweep-pieces").glob("*/*.npz"))) == 1
 
 
 @pytest.mark.slow

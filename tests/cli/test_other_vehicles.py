@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from helpers.vehicle_case import steps, write_case
 
+import snakejax as sj
 from snakejax.cli import main
+from snakejax.core.parameter import parameters
 from snakejax.dynamics.axle_tyres import FrontRear
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.tyres import Pacejka
@@ -42,6 +44,12 @@ def test_a_car_with_its_true_values_leaves_noise(car: Path, tmp_path: Path) -> N
     runs = json.loads(where.read_text())["runs"]
     assert [run["run"] for run in runs] == ["train-1", "held-1"]
     assert all(0.8 < run["misfit"] < 1.2 for run in runs)
+    loaded = sj.load_model(where)
+    assert isinstance(loaded.board, Car) and list(loaded.effects) == ["steering_lag"]
+    stated = {name.removeprefix("tyre."): float(p.value) for name, p in parameters(loaded).items()}
+    assert {name: stated[name] for name in TYRES} == TYRES
+    assert {name: stated[f"board.{name}"] for name in (*DART, *TRUE)} == {**DART, **TRUE}
+    assert stated["effects.steering_lag.tau"] == 0.1
 
 
 def test_a_gain_beside_a_constant_to_be_estimated_is_refused(car: Path) -> None:
@@ -52,6 +60,22 @@ def test_a_gain_beside_a_constant_to_be_estimated_is_refused(car: Path) -> None:
     assert "without slip" in (library(vehicle)["load_transfer"]().inapplicable_because(model) or "")
 
 
+def test_the_options_of_a_car_are_those_of_its_vehicle(car: Path, capsys: pytest.CaptureFixture) -> None:
+    assert main(["fit", str(car), "--skid", "coupled"]) == 2
+    assert "A car has no structure `coupled`, option --skid" in capsys.readouterr().err
+    for skid, free in (("free", ["tyre.front.B"]), ("ideal", [])):
+        words = ["--skid", skid, "--with", "steering_lag:tau=0.1", *(["--free", "front.B"] if free else [])]
+        assert main(["explain", str(car), "--plan", *words, "--json", "-", "--quiet"]) == 0
+        plan = json.loads(capsys.readouterr().out)
+        assert plan["structures"] == ([skid] if skid == "free" else ["ideal", "free"])
+        assert plan["free"] == free
+        assert "steering_lag" not in plan["candidates"] and "drive_lag" in plan["candidates"]
+    assert main(["explain", str(car), "--plan", "--with", "rotor_lag"]) == 2
+    assert "There is no effect `rotor_lag`" in capsys.readouterr().err
+
+
 def test_a_car_is_not_tuned(car: Path, capsys: pytest.CaptureFixture) -> None:
+    with pytest.raises(sj.InputError, match="those of a snakeboard, but the vehicle is a car"):
+        sj.tune(Model(Car(**DART), Pacejka(6.0, 1.4, 6.0, 0.1), "free"), seconds=2)
     assert main(["tune", str(car), "--objective", "distance", "--seconds", "2"]) == 2
     assert "those of a snakeboard, but the vehicle is a car" in capsys.readouterr().err

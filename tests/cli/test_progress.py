@@ -150,3 +150,26 @@ def test_nothing_moves_in_a_pipe(monkeypatch) -> None:
     with progress(False, 3) as say:
         say(ProgressEvent(Phase.WHOLE_RUNS, "a: fitting", 1, 3), case=1)
     assert pipe.getvalue() == ""
+
+
+def test_in_a_pipe_long_work_says_every_minute_that_it_goes_on(monkeypatch, capsys) -> None:
+    monkeypatch.setattr(_progress, "LINE_EVERY", 0.05)
+    with progress(quiet=False) as say:
+        say(ProgressEvent(Phase.WHOLE_RUNS), label="level-board")
+        time.sleep(0.2)
+    told = capsys.readouterr()
+    lines = told.err.splitlines()
+    assert told.out == "" and len(lines) >= 2
+    assert set(lines) == {"snakejax: level-board: fitting whole runs, 0 min so far"}
+    time.sleep(0.1)
+    assert capsys.readouterr().err == ""  # It ends with the work.
+
+
+def test_in_a_pipe_short_or_quiet_work_says_nothing(monkeypatch, capsys) -> None:
+    with progress(quiet=False) as say:
+        say(ProgressEvent(Phase.WHOLE_RUNS))
+    monkeypatch.setattr(_progress, "LINE_EVERY", 0.01)
+    with progress(quiet=True) as say:
+        say(ProgressEvent(Phase.WHOLE_RUNS))
+        time.sleep(0.05)
+    assert capsys.readouterr().err == ""

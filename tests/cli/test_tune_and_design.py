@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from helpers.payload_case import PAYLOAD, TYRE, laden, written
 
-from snakejax import Gait, Model, Sines, Tracked, effects, fit, load_case, prior_information, simulate
+from snakejax import Gait, Model, Sines, Tracked, effects, load_case, prior_information, simulate
 from snakejax.cli import gait_options, main
-from snakejax.cli import tune as command
-from snakejax.cli.model_options import effect_class
-from snakejax.cli.options import effect_spec
+from snakejax.commands import gaits as command
+from snakejax.commands.named_effects import effect_class
+from snakejax.commands.option_texts import effect_spec
 from snakejax.core.errors import InputError
 from snakejax.core.parameter import with_parameters
 from snakejax.design import experiments as discriminate
@@ -20,6 +20,7 @@ from snakejax.design import gait_problem as task
 from snakejax.design import tuning
 from snakejax.design.discrimination import correct_selection_probability, information
 from snakejax.effects import BodyDrag
+from snakejax.estimation import fit
 from snakejax.estimation.initial_model import starting_tyre
 
 SECONDS = 1.5
@@ -46,7 +47,7 @@ def told(case, tmp_path, monkeypatch, capsys):
         asked = ["tune", str(case), "--seconds", str(SECONDS), "--out", str(tmp_path)]
         assert main([*asked, *options]) == 0
         found = json.loads((tmp_path / "tune.json").read_text())
-        page, gait = (tmp_path / "tune.html").read_text(), (tmp_path / "gait.toml").read_text()
+        page, gait = (tmp_path / "tune.html").read_text(), (tmp_path / "tune-gait.toml").read_text()
         assert f"phi = {found['gait']['phi']}" in gait and (tmp_path / "tune.png").stat().st_size > 10_000
         return found, page, capsys.readouterr().out
 

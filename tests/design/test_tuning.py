@@ -25,11 +25,10 @@ from snakejax import (
     SumsOfSines,
     Tracked,
     simulate,
-    tune,
 )
 from snakejax.cli import main
 from snakejax.core.errors import InputError
-from snakejax.design import joint_log, spline
+from snakejax.design import joint_log, spline, tune
 from snakejax.design.limits import peaks, slack, within
 from snakejax.design.tuning import sines
 from snakejax.recording.readers import read_joint_log
@@ -191,7 +190,7 @@ def test_what_the_json_says_is_what_an_independent_simulation_gives(told) -> Non
     assert found["before"]["objective"] == pytest.approx(np.hypot(*known[0][:2]), abs=1e-5)
     assert found["objective"] > 1.2 * found["before"]["objective"]
     assert (folder / "tune.png").stat().st_size > 10_000
-    assert f"phi = {found['gait']['phi']}" in (folder / "gait.toml").read_text()
+    assert f"phi = {found['gait']['phi']}" in (folder / "tune-gait.toml").read_text()
 
 
 @pytest.fixture(scope="module")

@@ -6,17 +6,9 @@ import pytest
 from helpers.payload_case import GAINS
 from helpers.uncertain_fit import uncertain
 
-from snakejax import (
-    Controller,
-    Distance,
-    Gait,
-    Limits,
-    SumsOfSines,
-    posterior_samples,
-    simulate,
-    tune,
-)
+from snakejax import Controller, Distance, Gait, Limits, SumsOfSines, posterior_samples, simulate
 from snakejax.design import gait_problem as task
+from snakejax.design import tune
 from snakejax.design.rollouts import RolloutSpec
 from snakejax.design.tuning import TERMS, band
 

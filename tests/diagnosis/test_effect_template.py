@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from snakejax import TABLE_II, Board, Gait, Model, Pacejka, Sines
-from snakejax.cli.model_options import effect_class
-from snakejax.cli.options import effect_spec
+from snakejax.commands.named_effects import effect_class
+from snakejax.commands.option_texts import effect_spec
 from snakejax.diagnosis.latent_force.dependence import FittedFunction
 from snakejax.diagnosis.latent_force.missing_force import LatentForce
 from snakejax.diagnosis.latent_force.template import effect_template

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from snakejax.cli.model_options import effect_class
-from snakejax.cli.options import effect_spec
+from snakejax.commands.named_effects import effect_class
+from snakejax.commands.option_texts import effect_spec
 from snakejax.core.parameter import Scalar, own_parameters, param
 from snakejax.diagnosis.latent_force.dependence import FittedFunction
 from snakejax.diagnosis.latent_force.missing_force import LatentForce, choose_structure, estimate_latent_force

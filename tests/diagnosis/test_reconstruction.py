@@ -7,11 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from snakejax import TABLE_II, Board, Gait, Model, Noise, Pacejka, Run, Sines, fit, simulate
+from snakejax import TABLE_II, Board, Gait, Model, Noise, Pacejka, Run, Sines, simulate
 from snakejax.core.local_polynomials import even_local_cubics
 from snakejax.core.parameter import parameters
 from snakejax.diagnosis.residuals.reconstruction import HALF_SPAN, curve, reconstruct_forces, tyre_forces
 from snakejax.diagnosis.residuals.replays import replay_fit, replay_runs
+from snakejax.estimation import fit
 from snakejax.estimation.fitted_model import FittedModel, fitted_model
 from snakejax.estimation.problem import Problem
 

@@ -4,8 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from snakejax import TABLE_II, Board, Case, Gait, Model, Noise, Pacejka, Run, Sines, diagnose, simulate
+from snakejax import TABLE_II, Board, Case, Gait, Model, Noise, Pacejka, Run, Sines, simulate
 from snakejax.core.local_polynomials import local_cubics
+from snakejax.diagnosis import diagnose
 from snakejax.diagnosis.selection.score_test import ProjectedResiduals, confusable, score
 from snakejax.effects import ComOffset, GripSplit, GroundSlope, YawBias
 from snakejax.estimation.goodness_of_fit import noise_band

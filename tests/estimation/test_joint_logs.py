@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from helpers.logged_case import CLOCKS, LEVEL, TILTED, logged_case
 
-from snakejax import explain, fit_logged, load_case, noise_of, starting_model
+from snakejax import fit_logged, load_case, noise_of, starting_model
 from snakejax.core.parameter import with_parameters
+from snakejax.diagnosis import explain
 from snakejax.dynamics.inputs import Gait
 from snakejax.dynamics.signals import Logged
 from snakejax.effects import LIBRARY

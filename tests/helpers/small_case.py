@@ -5,7 +5,8 @@ from functools import cache
 import jax.numpy as jnp
 import numpy as np
 
-from snakejax import TABLE_II, Board, Case, Fit, Force, Gait, Model, Noise, Pacejka, Run, Sines, fit, param, simulate
+from snakejax import TABLE_II, Board, Case, Fit, Force, Gait, Model, Noise, Pacejka, Run, Sines, param, simulate
+from snakejax.estimation import fit
 
 NASTY = "<script>alert(1)</script>"
 """What a case, a run or an effect might be called."""

@@ -6,19 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from helpers.payload_case import BOARD, GAINS, TYRE
-from snakejax import (
-    Force,
-    Gait,
-    Model,
-    Noise,
-    Pacejka,
-    Run,
-    Sines,
-    Tracked,
-    fit,
-    param,
-    simulate,
-)
+from snakejax import Force, Gait, Model, Noise, Pacejka, Run, Sines, Tracked, param, simulate
+from snakejax.estimation import fit
 
 SLIDING = 0.8
 """A grip [N] at which the board slides: its B and D are two numbers, not one stiffness."""

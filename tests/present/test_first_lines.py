@@ -11,10 +11,11 @@ from helpers.small_case import small
 from rich.console import Console
 from rich.table import Table
 
-from snakejax import Fit, Noise, fit
+from snakejax import Fit, Noise
 from snakejax.cli.simulate import _report as simulated
 from snakejax.diagnosis.latent_force.missing_force import RunForce
 from snakejax.diagnosis.residuals.comparison import ModelScore, compare
+from snakejax.estimation import fit
 from snakejax.estimation.fit_workspace import problem_of
 from snakejax.estimation.fitting import fit_result
 from snakejax.estimation.goodness_of_fit import Score

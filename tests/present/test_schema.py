@@ -41,7 +41,10 @@ RUNS = {
     "tune": [
         ("tune", "CASE", *GIVEN, "--objective", "reach:0.1,0.1,0.2", *DESIGN),
         ("tune", "CASE", "--objective", "separate:ground_slope,body_drag", *DESIGN),
-        ("tune", "CASE", "--objective", "information", *DESIGN),
+    ],
+    "design": [
+        ("design", "CASE", "--objective", "separate:ground_slope,body_drag", *DESIGN),
+        ("design", "CASE", "--objective", "information", *DESIGN),
     ],
 }
 """By command, its arguments; CASE stands for a case of four seconds."""

@@ -205,8 +205,8 @@ COMPLAINTS = {
     "columns": (with_run("columns = 3"), "columns = ", "must be a table", "columns = {time"),
     "units": (with_run("units = {length = 3}"), "units = ", "must be a string", "length = "),
     "markers": (with_run("markers = {a = [0, 1]}"), "markers = ", "must be a list of 3", "in m"),
-    "left open": (TOML.replace("mass_kg = 7.0", 'mass_kg = "?"'), "mass_kg", "is not filled in", "in kg"),
-    "gait left open": (TOML.replace("phi = [[0.9, 4.0, 0.0]]", 'phi = "?"'), "phi = ", "is not filled in", "phi = ["),
+    "left open": (TOML.replace("mass_kg = 7.0", 'mass_kg = "?"'), "mass_kg", '(line 5) is still "?"', "quotes"),
+    "gait left open": (TOML.replace("phi = [[0.9, 4.0, 0.0]]", 'phi = "?"'), "phi = ", 'is still "?"', "quotes"),
     "missing file": (TOML.replace('"train-1.csv', '"train-l.csv'), "train-l.csv", "no such file", '"train-1.csv"'),
     "missing log": (logged('kind = "measured"').replace("joints.", "jonts."), "jonts", "no such", 'write "joints.csv"'),
     "terms": (TOML.replace("[[0.9, 4.0, 0.0]]", "[0.9, 4.0, 0.0]"), "phi = [0.9", "of 3 finite numbers", "write"),
@@ -292,17 +292,35 @@ def test_case_that_is_not_utf8(tmp_path):
         load_case(tmp_path)
 
 
+MEASURED = {"mass": 7.0, "rotor_inertia": 0.0238, "wheelset_inertia": 0.001, "half_length": 0.25}
+
+
+def filled_in(text: str) -> str:
+    """The template as a user fills it in, for the board of the paper."""
+    for key, value in MEASURED.items():
+        text = re.sub(rf'^({key}\w*) = "\?"', rf"\1 = {value}", text, flags=re.MULTILINE)
+    return re.sub(r'^(phi|psi) = "\?"', r"\1 = [[0.9, 4.0, 0.0]]", text, flags=re.MULTILINE)
+
+
 def test_template_loads(tmp_path):
     path = write_template(tmp_path / "new")
     assert path.read_text(encoding="utf-8") == template()
     for name in ("train-1.csv", "heldout-1.csv"):
         (path.parent / name).write_text(recording(), encoding="utf-8")
+    with pytest.raises(InputError, match=r'half_length_m .*, phi .*, psi .*, phi .*, psi .* are still "\?"') as told:
+        load_case(path.parent)
+    lines = path.read_text(encoding="utf-8").split("\n")
+    stated = re.findall(r"(\w+) \(line (\d+)\)", str(told.value))
+    assert len(stated) == 8 and all(lines[int(n) - 1].startswith(f'{key} = "?"') for key, n in stated)
+    path.write_text(filled_in(template()), encoding="utf-8")
     case = load_case(path.parent)
     assert float(case.board.rotor_inertia) == 0.0238 and [run.role for run in case.runs] == ["train", "heldout"]
 
 
 def test_template_with_all_its_comments_loads(tmp_path):
-    text = re.sub(r"^# (?=[a-z_0-9]+ = |\[(noise|accuracy|search)\]$)", "", template(), flags=re.MULTILINE)
+    text = re.sub(
+        r"^# (?=[a-z_0-9]+ = |\[(noise|accuracy|search|actuator)\]$)", "", filled_in(template()), flags=re.MULTILINE
+    )
     assert set(tomllib.loads(text)["runs"][0]) == {*_case.RUN_KEYS, "phi", "psi", "phi_back"}
     write(tmp_path, text.replace("[0.5, 8.0]", "[0.5, 0.8]"))
     case = load_case(tmp_path)

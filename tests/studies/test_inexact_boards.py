@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from snakejax import Board, Case, Force, Gait, Model, Noise, Pacejka, Run, Sines, explain, param, simulate
+from snakejax import Board, Case, Force, Gait, Model, Noise, Pacejka, Run, Sines, param, simulate
+from snakejax.diagnosis import explain
 from snakejax.effects import LIBRARY
 
 pytestmark = pytest.mark.slow

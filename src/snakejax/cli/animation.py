@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 
 def add_films(command: Any) -> None:
     """The option."""
-    command.add_argument(
+    output = next(group for group in command._action_groups if group.title == "output")
+    output.add_argument(
         "--animate", metavar="gif|mp4", help="with --out: also an animation of each run, measured and modelled"
     )
 
@@ -31,11 +32,11 @@ def require_films(options: argparse.Namespace) -> None:
 
 
 def films(options: argparse.Namespace, model: "ModelView", board: "Board", folder: Path, say: Progress) -> None:
-    """Write an animation of each run, RUN.gif or RUN.mp4, into `folder`."""
+    """Write an animation of each run, COMMAND-RUN.gif or .mp4, into `folder`."""
     from snakejax.present.plot import animate
 
     if options.animate is None:
         return
     for replay in model.scenes:
-        file = folder / f"{replay.run}.{options.animate}"
+        file = folder / f"{options.command}-{replay.run}.{options.animate}"
         animate(model, board, file, replay.run, say)

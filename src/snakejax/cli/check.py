@@ -5,7 +5,7 @@ from typing import Any
 
 from snakejax.core.progress import Phase, Progress, ProgressEvent
 
-from .options import add_command
+from .options import add_command, add_output
 from .pipeline import Outcome, each_case
 
 
@@ -20,11 +20,7 @@ def add(commands: Any) -> None:
         "snakejax check data/level-board",
     )
     command.add_argument("cases", nargs="+", metavar="CASE", help="a folder with case.toml")
-    command.add_argument(
-        "--json", metavar="FILE", help="write the findings there; - for standard output, a folder for several CASEs"
-    )
-    command.add_argument("--quiet", action="store_true", help="print only errors and the output of --json -")
-    command.set_defaults(out=None)
+    add_output(command)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -10,7 +10,7 @@ from snakejax.dynamics.kinds import MODEL_KINDS
 
 from .animation import add_films, require_films
 from .fit_pipeline import fitted, report_fit
-from .options import add_cases, add_command, add_fitting, add_model, given, names, threshold
+from .options import add_cases, add_command, add_fitting, add_model, add_output, given, names, threshold
 from .pipeline import Outcome, Stopwatch, each_case
 
 
@@ -27,10 +27,11 @@ def add(commands: Any) -> None:
     add_cases(command)
     add_model(command)
     add_fitting(command)
-    add_films(command)
     command.add_argument(
         "--against", metavar="MODEL,...", help=f"fit these models too and list their errors: {', '.join(MODEL_KINDS)}"
     )
+    add_output(command)
+    add_films(command)
 
 
 def run(options: argparse.Namespace) -> int:

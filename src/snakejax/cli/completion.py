@@ -5,7 +5,7 @@ from typing import Any
 
 from .options import add_command
 
-SHELLS = ("bash", "zsh", "tcsh")
+SHELLS = ("bash", "zsh", "fish", "tcsh")
 
 
 def add(commands: Any) -> None:
@@ -16,7 +16,8 @@ def add(commands: Any) -> None:
         run,
         "print a shell script that completes commands",
         "Print a script with which the shell completes commands, options and files. For\n"
-        "bash, write it to ~/.local/share/bash-completion/completions/snakejax.",
+        "bash, write it to ~/.local/share/bash-completion/completions/snakejax, for fish\n"
+        "to ~/.config/fish/completions/snakejax.fish.",
         "snakejax completion bash",
     )
     command.add_argument("shell", choices=SHELLS, help="the shell")

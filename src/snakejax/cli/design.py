@@ -1,4 +1,4 @@
-"""`snakejax tune --objective separate` and `information`: the design of the next run."""
+"""`snakejax design`: which run to record next. `tune --objective separate` and `information` are its old spelling."""
 
 import argparse
 from collections.abc import Mapping, Sequence
@@ -8,10 +8,20 @@ from snakejax.core.errors import InputError, instead_of
 from snakejax.core.progress import Phase, Progress, ProgressEvent
 
 from .fit_pipeline import fitted
-from .gait_options import GaitRequest, carried, gaits_of, payload_json
+from .gait_options import GaitRequest, add_gait, carried, gait_request, payload_json
 from .gait_output import GaitOutput, gait_outcome
-from .options import EffectSpec, effect_spec, finite, given
-from .pipeline import Outcome, Stopwatch
+from .options import (
+    EffectSpec,
+    add_cases,
+    add_command,
+    add_fitting,
+    add_model,
+    add_output,
+    effect_spec,
+    finite,
+    given,
+)
+from .pipeline import Outcome, Stopwatch, each_case
 
 if TYPE_CHECKING:
     from snakejax.design.experiments import DiscriminationDesign, PrecisionDesign
@@ -23,6 +33,43 @@ if TYPE_CHECKING:
 
 
 WHERE = "option --objective"
+
+
+def add(commands: Any) -> None:
+    """The command's options."""
+    command = add_command(
+        commands,
+        "design",
+        run,
+        "find the run to record next",
+        "Find the run that best distinguishes two effects that may be missing, or that\n"
+        "determines the tyre parameters best, from the runs recorded so far. --out writes\n"
+        "its gait in the form of case.toml.",
+        "snakejax design data/level-board --objective separate:body_drag,yaw_damping",
+    )
+    add_cases(command)
+    add_model(command, candidates=True)
+    add_fitting(command)
+    group = command.add_argument_group("candidates")
+    group.add_argument(
+        "--effect",
+        metavar="NAME[:p=v,...]",
+        action="append",
+        help="an effect of the pair, FILE.py:Class of your own or with values that are fixed. May be repeated",
+    )
+    add_gait(
+        command,
+        "separate",
+        "separate (default: the two effects that are hardest to distinguish), separate:EFFECT,EFFECT, or information"
+        " (the run that determines the tyre parameters best)",
+    )
+    add_output(command)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Design the next run of each CASE."""
+    request = gait_request(options)
+    return each_case(options, lambda case, say: work(options, case, request, say))
 
 
 def effects_of(text: str) -> tuple[tuple[str, str] | None, dict[str, float]]:
@@ -44,6 +91,7 @@ def effects_of(text: str) -> tuple[tuple[str, str] | None, dict[str, float]]:
 
 def work(options: argparse.Namespace, case: Any, request: GaitRequest, say: Progress) -> Outcome:
     """Design the next run of one case."""
+    from snakejax.commands.gaits import gaits_of
     from snakejax.design.fisher_information import prior_information, require_strengths
     from snakejax.design.limits import Limits, reached_by
     from snakejax.design.rollouts import Controller
@@ -51,13 +99,14 @@ def work(options: argparse.Namespace, case: Any, request: GaitRequest, say: Prog
     from snakejax.vehicles.snakeboard.paper_examples import Preset
 
     effects, strengths = effects_of(options.objective)
-    if isinstance(case, Preset) or options.set or options.saved:
+    if isinstance(case, Preset):
         what = "The next run is designed from the recorded runs of a case"
-        raise InputError(what, WHERE, "name a recorded case, without --set and --from")
+        raise InputError(what, WHERE, "name a recorded case")
     require_strengths(effects or ())
     effects_by_name, fixed, fit_options = candidates(options, effects, case.board)
     clock = Stopwatch()
     gaits, length = gaits_of(case)
+    assert length is not None
     fit, noise = fitted(fit_options, case, say)
     limits = Limits.of(request.limit, reached_by(gaits, fit.model, length) if gaits else None)
     payload, with_payload = carried(request.payload, case)
@@ -129,25 +178,26 @@ def candidates(
 ) -> "tuple[dict[str, Effect], set[str], argparse.Namespace]":
     """The effects to distinguish, the names of their fixed parameters, and the options of the fitted model.
 
-    An `--effect` of the pair is a candidate whose given values are fixed; any other belongs to the fitted model.
+    An effect of the pair is a candidate whose given values are fixed; any other belongs to the fitted model.
     **Raises:** `InputError` where an effect is unknown, given twice, or has no free parameter.
     """
+    from snakejax.commands.named_effects import built, effect_class
     from snakejax.core.parameter import parameters
-    from snakejax.effects import LIBRARY
+    from snakejax.effects import library
 
-    from .model_options import built, effect_class
-
+    built_in = library(vehicle)
+    given_texts = [*(options.with_ or ()), *(getattr(options, "effect", None) or ())]
     if effects is None:
-        library = {} if options.objective == "information" else {name: kind() for name, kind in LIBRARY.items()}
-        return library, set(), options
-    texts = {text: effect_spec(text) for text in options.effect or ()}
+        every = {} if options.objective == "information" else {name: kind() for name, kind in built_in.items()}
+        return every, set(), argparse.Namespace(**{**vars(options), "with_": given_texts})
+    texts = {text: effect_spec(text) for text in given_texts}
     own = {spec.name: spec for spec in texts.values() if spec.name in effects}
-    if len({spec.name for spec in texts.values()}) < len(options.effect or ()):
+    if len({spec.name for spec in texts.values()}) < len(given_texts):
         raise InputError("An effect is given twice", "option --effect", "give each once")
     effects_by_name, held = {}, set()
     for name in effects:
-        if name not in own and name not in LIBRARY:
-            known = [*LIBRARY, *(spec.name for spec in texts.values())]
+        if name not in own and name not in built_in:
+            known = [*built_in, *(spec.name for spec in texts.values())]
             remedy = f"{instead_of(name, known)}; name your own with --effect FILE.py:Class too"
             raise InputError(f"There is no effect `{name}`", WHERE, remedy)
         spec = own.get(name, EffectSpec(name, None, {}))
@@ -156,7 +206,7 @@ def candidates(
             raise InputError(f"All parameters of `{name}` are fixed", "option --effect", "leave one without a value")
         held |= {f"effects.{name}.{part}" for part in spec.values}
     rest = [text for text, spec in texts.items() if spec.name not in effects]
-    return effects_by_name, held, argparse.Namespace(**{**vars(options), "effect": rest})
+    return effects_by_name, held, argparse.Namespace(**{**vars(options), "with_": rest})
 
 
 def frame_rate(run: Any) -> float:

@@ -6,8 +6,18 @@ from typing import Any
 
 from snakejax.core.progress import Phase, Progress, ProgressEvent
 
-from .explain import add_candidates, candidates_of, wanted
-from .options import add_cases, add_command, given
+from .options import (
+    add_candidates,
+    add_cases,
+    add_command,
+    add_fitting,
+    add_model,
+    add_output,
+    effect_spec,
+    given,
+    model_options,
+    threshold,
+)
 from .pipeline import Outcome, Stopwatch, each_case
 
 
@@ -23,39 +33,50 @@ def add(commands: Any) -> None:
         "snakejax diagnose data/tilted-floor",
     )
     add_cases(command)
+    add_model(command, candidates=True)
+    add_fitting(command)
     add_candidates(command)
+    add_output(command)
 
 
 def run(options: argparse.Namespace) -> int:
     """Diagnose each CASE."""
+    threshold(options.robust)
     return each_case(options, lambda case, say: work(options, case, say))
 
 
 def work(options: argparse.Namespace, case: Any, say: Progress) -> Outcome:
     """Diagnose one case."""
+    from snakejax.commands.diagnosing import diagnose_case
     from snakejax.core.files import write_whole
-    from snakejax.diagnosis.diagnosing import diagnose
-    from snakejax.estimation.initial_model import starting_model
-    from snakejax.estimation.joint_logs.fitting import with_estimated_logs
     from snakejax.present import plot
     from snakejax.present.as_json.explanation import diagnosis_json
     from snakejax.present.as_json.fit import joint_logs_json
     from snakejax.present.as_json.provenance import provenance_json
     from snakejax.present.as_text.explanation import diagnosis_text
     from snakejax.present.report import diagnosis_page
-    from snakejax.recording.quality import noise_of
 
     clock = Stopwatch()
-    noise = noise_of(case)
-    case = with_estimated_logs(starting_model(case, options.model, options.skid), case, noise, say)
-    base = diagnose(case, noise, candidates_of(options, case), **wanted(options), progress=say).base
+    diagnosis = diagnose_case(case, explain_options(options, say))
+    case, noise, base = diagnosis.case, diagnosis.noise, diagnosis.base
     provenance = provenance_json(options.seed, given(options), case.sha256)
     result = {**diagnosis_json(case, noise, base, provenance, clock.seconds()), **joint_logs_json(case.runs)}
 
     def write(folder: Path) -> None:
         say(ProgressEvent(Phase.DRAWING))
         write_whole(folder / "diagnose.html", diagnosis_page(case, noise, base, result))
-        plot.save(plot.ranking(base), folder, "ranking")
-        plot.save(plot.confusability(base), folder, "confusability")
+        plot.save(plot.ranking(base), folder, "diagnose-ranking")
+        plot.save(plot.confusability(base), folder, "diagnose-confusability")
 
     return Outcome(result, diagnosis_text(case, base), write)
+
+
+def explain_options(options: argparse.Namespace, say: Progress) -> Any:
+    """What the options ask of `diagnose` and `explain`, as `snakejax.commands` takes it.
+
+    `--with` may name an own effect by the name of the class that `--effect` gives.
+    """
+    own = {effect_spec(text).name: text for text in options.effect or ()}
+    with_ = [own.get(text, text) for text in options.with_ or ()]
+    asked = {"with_": with_, "effect": options.effect, "without": options.without, "progress": say}
+    return {**model_options(options), **asked}

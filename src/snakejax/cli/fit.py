@@ -8,7 +8,7 @@ from snakejax.core.progress import Phase, Progress, ProgressEvent
 
 from .animation import add_films, require_films
 from .fit_pipeline import fitted, profiled, report_fit
-from .options import add_cases, add_command, add_fitting, add_model, given, threshold
+from .options import add_cases, add_command, add_fitting, add_model, add_output, given, threshold
 from .pipeline import Outcome, Stopwatch, each_case
 
 
@@ -24,9 +24,10 @@ def add(commands: Any) -> None:
     )
     add_cases(command)
     add_model(command)
-    add_fitting(command)
+    group = add_fitting(command)
+    group.add_argument("--profile", metavar="C,E", help="95%% intervals of these parameters by profile likelihood")
+    add_output(command)
     add_films(command)
-    command.add_argument("--profile", metavar="C,E", help="95%% intervals of these parameters by profile likelihood")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -8,7 +8,7 @@ from snakejax.core.errors import InputError
 from snakejax.core.progress import Phase, Progress, ProgressEvent
 
 from .animation import films
-from .options import names, threshold
+from .options import model_options, names
 
 if TYPE_CHECKING:
     from snakejax.estimation.fit_record import Fit
@@ -17,16 +17,9 @@ if TYPE_CHECKING:
 
 def fitted(options: argparse.Namespace, case: "Case", say: Progress) -> "tuple[Fit, Noise]":
     """The fit of `case` with the model of the options, and the noise that scales its residuals."""
-    from snakejax.estimation.joint_logs.fitting import fit_logged
-    from snakejax.recording.quality import noise_of
+    from snakejax.commands.fitting import fit_case
 
-    from .model_options import requested_model
-
-    requested = requested_model(options, case)
-    noise = noise_of(case)
-    free = requested.freed(names(getattr(options, "free", None)))
-    limit = threshold(getattr(options, "robust", None))
-    return fit_logged(requested.model, case.runs, noise, free, threshold=limit, progress=say), noise
+    return fit_case(case, {**model_options(options), "progress": say})
 
 
 def profiled(options: argparse.Namespace, fit: "Fit") -> list[str]:
@@ -64,7 +57,7 @@ def report_fit(
     say(ProgressEvent(Phase.DRAWING))
     model = view_of_fit(fit)
     write_whole(folder / f"{options.command}.html", fit_page(case, noise, fit, result, model))
-    plot.save(plot.paths([model]), folder, "paths")
-    plot.save(plot.residuals(model), folder, "residuals")
-    plot.save(plot.tyre([model]), folder, "tyre")
+    figures = {"paths": plot.paths([model]), "residuals": plot.residuals(model), "tyre": plot.tyre([model])}
+    for name, figure in figures.items():
+        plot.save(figure, folder, f"{options.command}-{name}")
     films(options, model, fit.model.board, folder, say)

@@ -1,14 +1,11 @@
 """Known gaits, duration and payload, as the commands that design a gait take them from a case or preset."""
 
 import argparse
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from snakejax.core.errors import InputError
 
 from .options import assignments, finite, start_pose
-
-if TYPE_CHECKING:
-    from snakejax.dynamics.inputs import Gait
 
 
 class GaitRequest(NamedTuple):
@@ -19,6 +16,27 @@ class GaitRequest(NamedTuple):
     limit: dict[str, float]
     start: tuple[float, float, float]
     payload: tuple[float, float] | None
+
+
+def add_gait(command: Any, objective: str, objectives: str) -> Any:
+    """The options of a run that is to be found; the group of them. `objective`: the default."""
+    group = command.add_argument_group("run")
+    group.add_argument("--objective", metavar="WHAT", default=objective, help=objectives)
+    group.add_argument("--seconds", metavar="T", help="duration of the run [s] (default: that of the first run)")
+    group.add_argument(
+        "--limit",
+        metavar="phi=0.9,psi_rate=6.5",
+        action="append",
+        help="limits of the joints [rad, rad/s, rad/s^2]: phi, psi, phi_rate, psi_rate, phi_acceleration,"
+        " psi_acceleration (default: the largest angle and rate of the gaits of CASE)",
+    )
+    group.add_argument(
+        "--payload",
+        metavar="KG[,KGM2]",
+        help="payload of the board: mass [kg] and yaw inertia [kg m^2] (default: that of the first run)",
+    )
+    group.add_argument("--start", metavar="X,Y,HEADING", help="start pose of the board [m, m, rad] (default 0,0,0)")
+    return group
 
 
 def gait_request(options: argparse.Namespace) -> GaitRequest:
@@ -59,19 +77,3 @@ def carried(payload: tuple[float, float] | None, subject: Any) -> tuple[tuple[fl
 def payload_json(payload: tuple[float, float]) -> dict[str, Any]:
     """The payload [kg, kg m^2] as JSON."""
     return {"payload": {"mass_kg": payload[0], "inertia_kgm2": payload[1]}}
-
-
-def gaits_of(subject: Any) -> "tuple[list[Gait], float]":
-    """The gaits of the runs from rest, and the duration of the first run [s].
-
-    **Raises:** `InputError` for another vehicle than a snakeboard.
-    """
-    from snakejax.dynamics.inputs import Gait
-    from snakejax.vehicles.snakeboard.paper_examples import Preset
-
-    if isinstance(subject, Preset):
-        return [subject.gait], subject.duration
-    if not isinstance(subject.runs[0].gait, Gait):
-        what = f"Gaits are those of a snakeboard, but the vehicle is a {subject.board.noun}"
-        raise InputError(what, "argument CASE", "`tune` and the design of runs take snakeboards only, so far")
-    return [run_.gait for run_ in subject.runs if not run_.moving], float(subject.runs[0].times[-1])

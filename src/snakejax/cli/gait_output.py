@@ -39,8 +39,8 @@ def gait_outcome(
 
         draw = plot.tuned if output.figure == "tuned" else plot.designed
         say(ProgressEvent(Phase.DRAWING))
-        write_whole(folder / "gait.toml", toml(output.tuned, name, options.objective))
-        write_whole(folder / "tune.html", tune_page(clean(result)))
-        plot.save(draw(result), folder, "tune")
+        write_whole(folder / f"{options.command}-gait.toml", toml(output.tuned, name, options.objective))
+        write_whole(folder / f"{options.command}.html", tune_page(clean(result)))
+        plot.save(draw(result), folder, options.command)
 
     return Outcome(clean(result), output.text, write)

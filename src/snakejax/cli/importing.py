@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 _EPILOG = """\
   snakejax import take.csv
-  snakejax import take.csv --object board --out my-case
-  snakejax import trial.c3d --object board --front nose --back tail --out case
+  snakejax import take.csv --object board --case my-case
+  snakejax import trial.c3d --object board --front nose --back tail --case my
   snakejax import lap.csv --columns "time=t,x=px,y=py,heading=yaw" --to lap.tum"""
 JOINTS = ("rotor", "front_wheelset", "back_wheelset")
 _ASKED = {
@@ -39,12 +39,14 @@ def add(commands: Any) -> None:
         run,
         "show the contents of a recording, and make a case of it",
         "Show the contents of a recording; convert it with --to, or make a case of it\n"
-        "with --out. Formats: Vicon CSV, C3D, TRC, Motive CSV, Qualisys TSV, ROS bags,\n"
+        "with --case. Formats: Vicon CSV, C3D, TRC, Motive CSV, Qualisys TSV, ROS bags,\n"
         "plain CSV, Parquet, TUM; the format is recognised from the content.",
         _EPILOG.strip(),
     )
     command.add_argument("files", nargs="+", metavar="FILE", help="a recording; each becomes a run")
-    command.add_argument("--out", metavar="CASE", help="make this case folder, or add a run to it")
+    command.add_argument("--case", metavar="DIR", help="make this case folder, or add a run to it")
+    # The spelling before `--out` meant a folder of results in all commands.
+    command.add_argument("--out", dest="case", metavar="DIR", help=argparse.SUPPRESS)
     command.add_argument("--to", metavar="FILE", help="convert to FILE.csv or, of one object, FILE.tum")
     command.add_argument("--object", metavar="NAME", help="the name of the board, or of the object with its markers")
     command.add_argument(
@@ -88,12 +90,12 @@ def run(options: argparse.Namespace) -> int:
     from snakejax.recording.readers import read_capture
 
     hints = _hints(options)
-    if options.to and (options.out or len(options.files) > 1):
-        raise InputError("--to converts one FILE at a time, without --out", "option --to", "run it once for each file")
+    if options.to and (options.case or len(options.files) > 1):
+        raise InputError("--to converts one FILE at a time, without --case", "option --to", "run it once for each file")
     if options.to and options.x_axis is not None:
         where = f"option --x-axis {options.x_axis}"
-        raise InputError("A converted object keeps its axes", where, "give it with --out, or in case.toml")
-    if options.out and options.board and (Path(options.out) / "case.toml").exists():
+        raise InputError("A converted object keeps its axes", where, "give it with --case, or in case.toml")
+    if options.case and options.board and (Path(options.case) / "case.toml").exists():
         where = f"option --board {','.join(options.board)}"
         raise InputError("The case already exists and has its board", where, "change the board in its case.toml")
     captures = []
@@ -114,9 +116,9 @@ def run(options: argparse.Namespace) -> int:
             print(summary_text(capture, grounds, options.up))
         if options.to:
             _convert(options, capture, hints, object_name)
-        elif options.out:
+        elif options.case:
             _add(options, capture, hints, object_name)
-    if options.out:
+    if options.case:
         _finish(options)
     return 0
 
@@ -163,7 +165,7 @@ def _object(options: argparse.Namespace, capture: "Capture") -> str | None:
         raise InputError(what, capture.where, listed(options.object, [name for name in candidates if name]))
     if len(candidates) == 1:
         return candidates[0]
-    if not (options.out or (options.to or "").endswith(".tum")):
+    if not (options.case or (options.to or "").endswith(".tum")):
         return None
     answer = ask(options, f"Which object is the board? {', '.join(candidates[:12])}")
     if answer in candidates:
@@ -227,7 +229,7 @@ def _add(options: argparse.Namespace, capture: "Capture", hints: "FileAnnotation
     hints = _upright(options, capture, hints, object_name)
     if object_name not in capture.bodies:
         hints = hints._replace(markers=places(options, capture, hints, object_name))
-    folder = Path(options.out)
+    folder = Path(options.case)
     board = _measures(options, (folder / "case.toml").exists())
     title = folder.resolve().name
     for note in add_run(folder, capture, _run(options, hints, object_name), title, board):
@@ -274,11 +276,10 @@ def _run(options: argparse.Namespace, hints: "FileAnnotations", object_name: str
 
 
 def _finish(options: argparse.Namespace) -> None:
-    from snakejax.recording.case_import import to_fill_in
+    from snakejax.core.toml_table import to_fill_in
 
-    folder = Path(options.out)
-    left = to_fill_in(folder)
-    if left:
-        print(f'{folder / "case.toml"} needs a value for every "?": {", ".join(left)}', file=sys.stderr)
+    path = Path(options.case) / "case.toml"
+    if left := [f"{key} (line {n})" for n, key in to_fill_in(path.read_text(encoding="utf-8").split("\n"))]:
+        print(f'{path} needs a value for every "?": {", ".join(left)}', file=sys.stderr)
     elif not options.quiet:
-        print(f"wrote {folder / 'case.toml'}: now run `snakejax check {folder}`")
+        print(f"wrote {path}: now run `snakejax check {options.case}`")

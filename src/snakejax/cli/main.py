@@ -4,17 +4,17 @@ import argparse
 import os
 import re
 import sys
-from collections.abc import Sequence
-from typing import NoReturn
+from collections.abc import Callable, Sequence
+from typing import Any, NoReturn
 
-from snakejax.core.errors import InputError
+from snakejax.core.errors import InputError, instead_of
 
-from . import check, compare, completion, diagnose, explain, fit, importing, new, simulate, sweep, tune
+from . import check, compare, completion, design, diagnose, explain, fit, importing, new, simulate, sweep, tune
 from .exit_status import DONE, FAILED, INTERRUPTED, WRONG, complain, unexpected
 from .interrupt import PersistentInterrupt
-from .options import Formatter
+from .options import Formatter, add_command
 
-COMMANDS = (check, new, importing, fit, compare, diagnose, explain, simulate, sweep, tune, completion)
+COMMANDS = (check, new, importing, fit, compare, diagnose, explain, simulate, sweep, tune, design, completion)
 
 _EXAMPLES = """\
 examples:
@@ -41,12 +41,39 @@ def parser() -> argparse.ArgumentParser:
         formatter_class=Formatter,
         allow_abbrev=False,
     )
-    top.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
-    commands = top.add_subparsers(title="commands", dest="command", metavar="COMMAND", required=True)
+    top.add_argument("-V", "--version", action=_Version, nargs=0, help="print the version and exit")
+    commands = top.add_subparsers(title="commands", dest="command", metavar="COMMAND")
     for command in COMMANDS:
         command.add(commands)
     commands.choices["completion"].set_defaults(program=top)
+    top.set_defaults(run=_overview(top))
+    _add_help(commands, top)
     return top
+
+
+def _overview(top: argparse.ArgumentParser) -> Callable[[argparse.Namespace], int]:
+    def run(_: argparse.Namespace) -> int:
+        top.print_help()
+        return DONE
+
+    return run
+
+
+def _add_help(commands: Any, top: argparse.ArgumentParser) -> None:
+    """`help`, which prints the help of another command."""
+    others = dict(commands.choices)
+
+    def run(options: argparse.Namespace) -> int:
+        name = options.about
+        if name is not None and name not in others:
+            raise InputError(f"There is no command `{name}`", "argument COMMAND", instead_of(name, others))
+        (top if name is None else others[name]).print_help()
+        return DONE
+
+    command = add_command(
+        commands, "help", run, "print the help of a command", "Print the help of a command.", "snakejax help fit"
+    )
+    command.add_argument("about", nargs="?", metavar="COMMAND", help="the command (default: all of them)")
 
 
 class _Version(argparse.Action):

@@ -1,6 +1,8 @@
-"""The progress line on a terminal: current phase, share done, time left."""
+"""The progress line on a terminal: current phase, share done, time left; elsewhere a line a minute."""
 
 import contextlib
+import sys
+import threading
 import time
 from collections.abc import Iterator
 from typing import NamedTuple, Protocol
@@ -98,6 +100,34 @@ class Course:
         return (case + share) / self.cases, now + pace * before + (self.cases - case - 1) * each
 
 
+LINE_EVERY = 60.0
+"""Seconds between the lines of a long computation whose output is no terminal."""
+
+
+@contextlib.contextmanager
+def _lines() -> Iterator[ProgressLine]:
+    """One line every `LINE_EVERY` seconds on standard error: what is being done, and for how long."""
+    begun, latest, ended = time.monotonic(), ["starting"], threading.Event()
+
+    def report() -> None:
+        while not ended.wait(LINE_EVERY):
+            minutes = (time.monotonic() - begun) / 60
+            with contextlib.suppress(OSError, ValueError):  # A reader that has gone does not end the work.
+                print(f"snakejax: {latest[0]}, {minutes:.0f} min so far", file=sys.stderr, flush=True)
+
+    def say(event: ProgressEvent, /, case: int = 0, label: str = "") -> None:
+        count = f" ({event.done}/{event.total})" if event.total else ""
+        latest[0] = f"{label}: {event.sentence}{count}" if label else f"{event.sentence}{count}"
+
+    thread = threading.Thread(target=report, daemon=True)
+    thread.start()
+    try:
+        yield say
+    finally:
+        ended.set()
+        thread.join()
+
+
 @contextlib.contextmanager
 def progress(quiet: bool, cases: int = 1, command: str = "", drawing: bool = False) -> Iterator[ProgressLine]:
     """Show one progress line on a terminal, with a bar and the time left where they are known.
@@ -108,8 +138,12 @@ def progress(quiet: bool, cases: int = 1, command: str = "", drawing: bool = Fal
     from rich.console import Console
 
     console = Console(stderr=True)
-    if quiet or not console.is_terminal:
+    if quiet:
         yield lambda _, case=0, label="": None
+        return
+    if not console.is_terminal:
+        with _lines() as say:
+            yield say
         return
     columns = (
         parts.SpinnerColumn(),

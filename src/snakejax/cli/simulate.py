@@ -9,7 +9,7 @@ from snakejax.core.progress import Phase, Progress, ProgressEvent
 
 from .animation import add_films, films, require_films
 from .fit_pipeline import fitted
-from .options import add_cases, add_command, add_loading, add_model, given, start_pose
+from .options import add_cases, add_command, add_loading, add_model, add_output, given, model_options, start_pose
 from .pipeline import Outcome, Stopwatch, each_case
 
 if TYPE_CHECKING:
@@ -43,6 +43,7 @@ def add(commands: Any) -> None:
         "--csv", metavar="DIR", help="write RUN.csv into DIR for each run: " + COLUMNS.replace(",", ", ")
     )
     add_loading(command)
+    add_output(command)
     add_films(command)
 
 
@@ -99,7 +100,7 @@ def work(options: argparse.Namespace, subject: Any, say: Progress) -> Outcome:
 
         say(ProgressEvent(Phase.DRAWING))
         view = view_of_model(model, runs, starts)
-        plot.save(plot.paths([view]), folder, "paths")
+        plot.save(plot.paths([view]), folder, "simulate-paths")
         films(options, view, model.board, folder, say)
 
     return Outcome(clean(result), _report(subject.name, result), write)
@@ -156,34 +157,34 @@ def _of_preset(options: argparse.Namespace, subject: Any) -> Simulation:
     import jax.numpy as jnp
     import numpy as np
 
+    from snakejax.commands.requested_model import requested_model, require_given
     from snakejax.recording.run import Run
 
-    from .model_options import requested_model, require_given
-
-    requested = requested_model(options, subject)
-    require_given(options, requested, own=options.model is None)
+    asked = model_options(options)
+    requested = requested_model(subject, asked)
+    require_given(requested, options.model is None, asked)
     run_ = Run(subject.name, "preset", subject.times, jnp.full((subject.times.shape[0], 3), jnp.nan), subject.gait)
     return Simulation(requested.model, (run_,), np.array([start_pose(options.start) or (0.0, 0.0, 0.0)]))
 
 
 def _of_case(options: argparse.Namespace, case: Any, say: Progress) -> Simulation:
     """The runs of `case` under the model of the options, or under one that is fitted here."""
+    from snakejax.commands.requested_model import requested_model, require_given
     from snakejax.estimation.goodness_of_fit import run_scores
     from snakejax.estimation.problem import Problem
     from snakejax.estimation.replay import fitted_starts, starts_of
     from snakejax.recording.quality import noise_of
 
-    from .model_options import requested_model, require_given
-
     pose = start_pose(options.start)
-    requested = requested_model(options, case)
+    asked = model_options(options)
+    requested = requested_model(case, asked)
     if not (options.set or options.saved):
-        require_given(options, requested, own=True)
+        require_given(requested, True, asked)
         fit, noise = fitted(options, case, say)
         if pose is not None:
             return Simulation(fit.model, case.runs, starts_of(case.runs, pose), noise, (), fit)
         return Simulation(fit.model, case.runs, fitted_starts(fit), noise, (*fit.runs, *fit.heldout), fit)
-    require_given(options, requested, own=False)
+    require_given(requested, False, asked)
     if pose is not None:
         return Simulation(requested.model, case.runs, starts_of(case.runs, pose), case.noise)
     say(ProgressEvent(Phase.START_STATES))

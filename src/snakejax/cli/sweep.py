@@ -10,7 +10,19 @@ from snakejax.core.errors import InputError, at_line, instead_of
 from snakejax.core.progress import Phase, Progress, ProgressEvent
 
 from .fit_pipeline import fitted
-from .options import Varied, add_cases, add_command, add_loading, add_model, finite, given, start_pose, varied
+from .options import (
+    Varied,
+    add_cases,
+    add_command,
+    add_loading,
+    add_model,
+    add_output,
+    finite,
+    given,
+    model_options,
+    start_pose,
+    varied,
+)
 from .pipeline import Outcome, Stopwatch, each_case
 
 if TYPE_CHECKING:
@@ -58,6 +70,7 @@ def add(commands: Any) -> None:
     command.add_argument(
         "--cluster", metavar="ADDRESS", help="compute on the Dask cluster with this scheduler, as in tcp://host:8786"
     )
+    add_output(command)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -128,7 +141,7 @@ def work(
     matched = isinstance(model.board, Board) and not isinstance(model.tyre, Rayleigh) and model.constraint.slips
     what = f"sweeping {' and '.join(axes.coordinates)}"
     how = {
-        "folder": options.out and Path(options.out) / "pieces",
+        "folder": options.out and Path(options.out) / "sweep-pieces",
         "executor": executor,
         "start": start_pose(options.start) or (0.0, 0.0, 0.0),
         "progress": lambda event: say(event._replace(text=what)),
@@ -224,19 +237,19 @@ def _run(options: argparse.Namespace, case: Any) -> Any:
 
 def _prepared(options: argparse.Namespace, subject: Any, axes: "Axes", say: Progress) -> "tuple[Model, Axes]":
     """The model, and the axes with parameters by their full names and coordinates as the user named them."""
+    from snakejax.commands.requested_model import dotted, requested_model, require_given
     from snakejax.dynamics.model import Model
     from snakejax.dynamics.tyres import Bakker
     from snakejax.simulation.parameter_sweep import require_possible
     from snakejax.vehicles.snakeboard.paper_examples import LOADS, Preset, mass_under
-
-    from .model_options import dotted, requested_model, require_given
 
     where = "option --table" if options.table else "option --vary"
     loading = [name for name in axes.columns if name in LOADING]
     if loading and not (isinstance(subject, Preset) and subject.name in LOADS):
         what = f"`{loading[0]}` can only be varied for {' and '.join(LOADS)}"
         raise InputError(what, where, "name one of those as CASE")
-    requested = requested_model(options, subject)
+    asked = model_options(options)
+    requested = requested_model(subject, asked)
     model = requested.model
     if isinstance(model.tyre, Bakker) and len(loading) < len(axes.columns):
         if loading:
@@ -247,7 +260,7 @@ def _prepared(options: argparse.Namespace, subject: Any, axes: "Axes", say: Prog
     columns = {f"tyre.{n}" if n in loading else dotted(model, n, where): c for n, c in axes.columns.items()}
     if isinstance(subject, Preset) or options.set or options.saved:
         filled = requested._replace(given=requested.given | {*columns})
-        require_given(options, filled, own=isinstance(subject, Preset) and options.model is None)
+        require_given(filled, isinstance(subject, Preset) and options.model is None, asked)
     else:
         model = fitted(options, subject, say)[0].model
     if len(columns) < len(axes.columns):

@@ -18,6 +18,10 @@ Scalar = Float[Array, ""]
 T = TypeVar("T")
 
 
+_FEW = 12
+"""The most numbers of an array that a `repr` lists."""
+
+
 class Domain(NamedTuple):
     """Domain of a parameter: `low <= value <= high` in `unit`; `positive` means strictly above zero.
 
@@ -91,12 +95,33 @@ class Parametrised(eqx.Module):
     **Raises:** `ValueError` for a value that is not finite or lies outside its domain.
     """
 
+    def __repr__(self) -> str:
+        """`GroundSlope(sx=0.003 rad, sy=0 rad)`; of arrays, which are traced or many, the shape."""
+        parts = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.repr}  # type: ignore[arg-type]
+        units = {name: parameter.domain.unit for name, parameter in own_parameters(self)}
+        texts = [f"{name}={_shown(value)}{unit_text(units.get(name, '-'))}" for name, value in parts.items()]
+        return f"{type(self).__name__}({', '.join(texts)})"
+
     def __check_init__(self) -> None:
         for name, parameter in own_parameters(self):
             if isinstance(parameter.value, jax.core.Tracer) or np.ndim(parameter.value):
                 continue
             if why := parameter.domain.complaint(float(parameter.value)):
                 raise ValueError(f"{type(self).__name__}.{name} {why}, but it is {float(parameter.value):g}.")
+
+
+def unit_text(unit: str) -> str:
+    """The unit behind a number, none for a pure number."""
+    return "" if unit == "-" else f" {unit}"
+
+
+def _shown(value: Any) -> str:
+    """A number to six digits, a small array as a list, another one by its shape."""
+    if isinstance(value, jax.core.Tracer) or not isinstance(value, jax.Array | np.ndarray):
+        return repr(value)
+    if value.ndim == 0:
+        return f"{float(value):.6g}"
+    return repr(np.asarray(value).tolist()) if value.size <= _FEW else f"array of {'x'.join(map(str, value.shape))}"
 
 
 def own_parameters(module: eqx.Module) -> Iterator[tuple[str, Parameter]]:

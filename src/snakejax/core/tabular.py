@@ -12,6 +12,7 @@ from .errors import InputError
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+    from xarray import Dataset
 
 MOST_ROWS = 40
 """Rows of a table in a notebook; the data frame has them all."""
@@ -52,6 +53,10 @@ class Tabular(abc.ABC):
             what = f"The table of a {type(self).__name__} needs pandas, which is not installed"
             raise InputError(what, "to_dataframe()", "pip install pandas") from None
         return pandas.DataFrame({name: list(column) for name, column in self.columns().items()})
+
+    def to_xarray(self) -> "Dataset":
+        """The table as an xarray Dataset with the dimension `row`. **Raises:** as `to_dataframe`."""
+        return self.to_dataframe().rename_axis("row").to_xarray()
 
 
 def cell_text(value: Any) -> str:

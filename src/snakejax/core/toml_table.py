@@ -13,6 +13,8 @@ from .text_files import read_text
 
 TO_FILL_IN = "?"
 """Placeholder in a template for a value that the user has to write."""
+_UNFILLED = re.compile(r"""([\w-]+)['"]?\s*=\s*["']\?["']""")
+_COMMENT = re.compile(r"""#(?=(?:[^"']|"[^"]*"|'[^']*')*$).*""")
 _HEADER = re.compile(r"""\s*\[\[?\s*(["'A-Za-z_][^\]]*?)\s*\]""")
 
 
@@ -75,8 +77,6 @@ class Table(NamedTuple):
     def number(self, key: str, domain: Domain) -> float:
         """The number at `key`. **Raises:** `InputError` if it is missing, not a number, or outside `domain`."""
         value = self.get(key, f"{key} = a number in {domain.unit}")
-        if value == TO_FILL_IN:
-            raise self.error(key, "is not filled in", f"write it in {domain.unit}, without quotes")
         if not _is_number(value):
             raise self.error(key, "must be a number", f"write it in {domain.unit}, without quotes")
         if why := domain.complaint(float(value)):
@@ -86,8 +86,6 @@ class Table(NamedTuple):
     def numbers(self, key: str, columns: int, example: str) -> list[list[float]]:
         """The list of rows of `columns` finite numbers at `key`. **Raises:** `InputError` if it is anything else."""
         rows = self.get(key, example)
-        if rows == TO_FILL_IN:
-            raise self.error(key, "is not filled in", f"write {example}")
         if not (isinstance(rows, list) and all(_is_vector(row, columns) for row in rows)):
             raise self.error(key, f"must be a list of lists of {columns} finite numbers", f"write {example}")
         return rows
@@ -102,8 +100,6 @@ class Table(NamedTuple):
     def table(self, key: str, example: str) -> "Table":
         """The table at `key`. **Raises:** `InputError` if it is missing or not a table."""
         value = self.get(key, example)
-        if value == TO_FILL_IN:
-            raise self.error(key, "is not filled in", f"write {example}")
         if not isinstance(value, dict):
             raise self.error(key, "must be a table", f"write {example}")
         if self.label != "the case":
@@ -134,6 +130,20 @@ def _is_number(value: Any) -> bool:
 
 def _is_vector(value: Any, length: int) -> bool:
     return isinstance(value, list) and len(value) == length and all(_is_number(x) and math.isfinite(x) for x in value)
+
+
+def to_fill_in(lines: Iterable[str]) -> list[tuple[int, str]]:
+    """(line, key) of each value that is still "?" in the `lines` of a TOML file."""
+    return [(n, key) for n, line in enumerate(lines, 1) for key in _UNFILLED.findall(_COMMENT.sub("", line))]
+
+
+def require_filled_in(table: Table) -> None:
+    """Check the file of `table`. **Raises:** `InputError` that lists every value that is still "?"."""
+    if left := to_fill_in(table.lines):
+        listed = ", ".join(f"{key} (line {n})" for n, key in left)
+        what = f'{listed} {"is" if len(left) == 1 else "are"} still "?"'
+        remedy = "write each value in its place, without quotes; the comment on its line says what it is"
+        raise InputError(what, at_line(table.path, left[0][0]), remedy)
 
 
 def read_toml(path: Path) -> Table:

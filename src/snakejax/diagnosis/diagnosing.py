@@ -1,16 +1,20 @@
 """Diagnosis: which effect is missing?"""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple, TypedDict, Unpack
+
+import numpy as np
 
 from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
 from snakejax.core.tabular import Tabular
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
+from snakejax.dynamics.model import Model
 from snakejax.dynamics.ports import Effect
+from snakejax.estimation.initial_model import starting_model
 from snakejax.recording.run import Case, Noise
 
-from .selection.candidates import CandidateFit, CandidateSet, structures
+from .selection.candidates import BaseFit, CandidateFit, CandidateSet, structures
 from .selection.criteria import SelectionCriteria
 from .selection.ranking import RankedCandidate, insert_by_refit, rank
 from .selection.refit import base_fit
@@ -22,15 +26,20 @@ class DiagnosisOptions(TypedDict, total=False):
     """What `diagnose` and `explain` can be told beyond the recordings and the candidates.
 
     `kind`: the tyre law of the base, "pacejka" (default) or "rayleigh"; `constraint`: its structure (default: the
-    case's); `with_`: effects in the base from the start; `switch`: whether the change of structure from coupled to
-    free is a candidate (default True); `criteria`: the thresholds of every decision (default: `CRITERIA` and
-    `[search]` of the case); `progress` is called with each `ProgressEvent`.
+    case's); `start`: the base before it is fitted, in place of both; `held`: names of parameters of tyre or effects
+    that are not estimated; `with_`: effects in the base from the start; `switch`: whether the change of structure from
+    coupled to free is a candidate (default True); `threshold`: that of Huber's loss in the fits of whole runs [standard
+    deviations] (default: none); `criteria`: the thresholds of every decision (default: `CRITERIA` and `[search]` of
+    the case); `progress` is called with each `ProgressEvent`.
     """
 
     kind: str
     constraint: str | None
+    start: Model
+    held: Collection[str]
     with_: Sequence[str]
     switch: bool
+    threshold: float
     criteria: SelectionCriteria
     progress: Progress
 
@@ -71,21 +80,28 @@ def diagnose(
     return Diagnosis(case, noise, diagnose_base(case, noise, library, **question).base.record)
 
 
+def start_of(case: Case, question: DiagnosisOptions) -> Model:
+    """The base before it is fitted."""
+    if "start" in question:
+        return question["start"]
+    return starting_model(case, question.get("kind", "pacejka"), question.get("constraint"))
+
+
 def diagnose_base(
     case: Case, noise: Noise, library: Mapping[str, Effect], **question: Unpack[DiagnosisOptions]
 ) -> BaseDiagnosis:
     """`diagnose`, with the workspace in which an explanation goes on."""
     criteria = question.get("criteria") or SelectionCriteria.of(case)
     with_, progress = question.get("with_", ()), question.get("progress", no_progress)
-    options = structures(case, question.get("kind", "pacejka"), question.get("constraint"))
-    options = options[: 2 if question.get("switch", True) else 1]
-    candidate_set = CandidateSet.of(options[0], case, noise, library, criteria=criteria)
+    options = structures(case, "", None, start_of(case, question))[: 2 if question.get("switch", True) else 1]
+    how = BaseFit(frozenset(question.get("held", ())), question.get("threshold", np.inf))
+    candidate_set = CandidateSet.of(options[0], case, noise, library, criteria=criteria, how=how)
     step = CandidateFit(tuple(with_), base_fit(candidate_set, with_, progress))
     ranking = tuple(rank(candidate_set, step, progress=progress))
     switched = None
     if len(options) > 1:
         progress(ProgressEvent(Phase.REFITTING_OTHER_STRUCTURE, f"refitting with {LATERAL_SLIP_SWITCH}"))
-        other = CandidateSet.of(options[1], case, noise, library, switched=True, criteria=criteria)
+        other = CandidateSet.of(options[1], case, noise, library, switched=True, criteria=criteria, how=how)
         there = CandidateFit(step.effects, base_fit(other, with_, progress))
         ranking = insert_by_refit(ranking, RankedCandidate(LATERAL_SLIP_SWITCH, None, None, there.solution, (), None))
         switched = (other, there)

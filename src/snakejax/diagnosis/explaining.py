@@ -13,7 +13,6 @@ from snakejax.dynamics.ports import Effect
 from snakejax.estimation.discrepancy.priors import CONSTANTS
 from snakejax.estimation.fit_workspace import fit_workspace
 from snakejax.estimation.goodness_of_fit import consistent_with_noise
-from snakejax.estimation.initial_model import starting_model
 from snakejax.estimation.joint_logs.clocks import STILL, free_clocks
 from snakejax.estimation.joint_logs.fitting import (
     with_aligned_logs,
@@ -24,7 +23,7 @@ from snakejax.estimation.joint_logs.fitting import (
 from snakejax.estimation.joint_logs.log_noise import is_noisy
 from snakejax.recording.run import Case, Noise
 
-from .diagnosing import BaseDiagnosis, DiagnosisOptions, diagnose_base
+from .diagnosing import BaseDiagnosis, DiagnosisOptions, diagnose_base, start_of
 from .exact_checks import bands_of, odd_runs_beside
 from .explanation import Explanation
 from .inexact.confidence import AMBIGUOUS, STAND_IN, SURE
@@ -63,8 +62,7 @@ def explain(
     progress = question.get("progress", no_progress)
     logged = any(free_clocks(run) or is_noisy(run.gait) for run in case.runs)
     if logged:
-        model = starting_model(case, question.get("kind", "pacejka"), question.get("constraint"))
-        case = with_estimated_logs(model, case, noise, progress)
+        case = with_estimated_logs(start_of(case, question), case, noise, progress)
     # Steps on clocks that are still to be improved are shown to nobody.
     show_now = no_progress if logged else show
     diagnosis = diagnose_base(case, noise, library, **question)
@@ -117,7 +115,7 @@ def _with_logs_of(case: Case, last: WorkingStep, progress: Progress) -> Case | N
     fit = fit_workspace(last.candidate_set.problem, last.step.solution)
     if free:
         try:
-            fit = with_aligned_logs(fit, np.inf, progress)
+            fit = with_aligned_logs(fit, fit.problem.threshold, progress)
         except FitError:
             return None
     runs = fit.problem.runs

@@ -1,9 +1,10 @@
 """What an explanation would try, before anything is fitted."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 from snakejax.core.parameter import parameters
+from snakejax.dynamics.model import Model
 from snakejax.dynamics.ports import Effect
 from snakejax.estimation.initial_model import default_free
 from snakejax.recording.run import Case
@@ -30,11 +31,15 @@ def plan_of(
     *,
     kind: str = "pacejka",
     constraint: str | None = None,
+    start: Model | None = None,
+    held: Collection[str] = (),
     with_: Sequence[str] = (),
     switch: bool = True,
 ) -> Plan:
-    """The plan of `explain` with the same arguments."""
-    models = structures(case, kind, constraint)[: 2 if switch else 1]
+    """The plan of `explain` with the same arguments, see `DiagnosisOptions`."""
+    models = structures(case, kind, constraint, start)[: 2 if switch else 1]
+    added = [f"effects.{name}" for name in with_ if name not in models[0].effects]
+    free = (*default_free(models[0]), *added)
     names = {kind_: name for name, kind_ in case.board.structures.items()}
     left_out: dict[str, str] = {}
     candidates: dict[str, tuple[str, ...]] = {}
@@ -47,7 +52,7 @@ def plan_of(
     return Plan(
         case.name,
         tuple(names[type(model.constraint)] for model in models),
-        (*default_free(models[0]), *(f"effects.{name}" for name in with_)),
+        tuple(name for name in free if name not in held),
         tuple(run.name for run in case.having("train")),
         tuple(run.name for run in case.having("heldout")),
         candidates,

@@ -64,6 +64,11 @@ class Model(eqx.Module):
             constraint = board.structures[constraint]()
         self.board, self.tyre, self.constraint, self.effects = board, tyre, constraint, OrderedDict(effects)
 
+    def __repr__(self) -> str:
+        """`Model(Board(mass=7 kg, ...), Pacejka(B=8 1/rad, ...), 'free', {'ground_slope': GroundSlope(...)})`."""
+        effects = f", {dict(self.effects)}" if self.effects else ""
+        return f"Model({self.board}, {self.tyre}, {self.structure!r}{effects})"
+
     def __check_init__(self) -> None:
         if why := self.constraint.inapplicable_because(self.board):
             raise ValueError(why)

@@ -75,9 +75,11 @@ class AbstractVehicle(Parametrised):
     `mass` [kg]; `creep_speed` [m/s]: regularises the slip angle at rest; `wheelsets`; `inputs`; `free_joints`: joints
     that no input prescribes, integrated with the motion; `independent`: the velocities u, w, r and rates of free joints
     that remain free where no wheel slips; `structures`: possible constraints of its wheels, by name; `relaxed`: maps a
-    structure that constrains the wheels to the one whose wheels slip; `noun`: the word for it in messages.
+    structure that constrains the wheels to the one whose wheels slip; `noun`: the word for it in messages; `kind`: its
+    name in case.toml and in results, empty for one of your own.
     """
 
+    kind: ClassVar[str] = ""
     noun: ClassVar[str] = "vehicle"
     inputs: ClassVar[tuple[Input, ...]] = ()
     free_joints: ClassVar[tuple[str, ...]] = ()

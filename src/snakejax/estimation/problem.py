@@ -81,10 +81,11 @@ class Solution(NamedTuple):
 class FitOptions(TypedDict, total=False):
     """Options of `Problem.fit`.
 
-    `until` [s]: later samples are ignored; `threshold`: that of Huber's loss [standard deviations] (default: none);
-    `enough`: the fit stops where a step is expected to lower chi^2 by less (default 0.05); `crawl`: far from the noise
-    it stops where a step lowered chi^2 by less than this fraction (default 0); `most`: largest number of steps (default
-    60); `weak_prior`: pull towards typical values, for the first approach from far away (default False).
+    `until` [s]: later samples are ignored; `threshold`: that of Huber's loss [standard deviations] (default: that of
+    the problem); `enough`: the fit stops where a step is expected to lower chi^2 by less (default 0.05); `crawl`: far
+    from the noise it stops where a step lowered chi^2 by less than this fraction (default 0); `most`: largest number
+    of steps (default 60); `weak_prior`: pull towards typical values, for the first approach from far away (default
+    False).
     """
 
     until: float
@@ -96,7 +97,10 @@ class FitOptions(TypedDict, total=False):
 
 
 class Problem(eqx.Module):
-    """`model` and `runs`, compiled once for all parameters in `names`, of which at most `width` are free at a time."""
+    """`model` and `runs`, compiled once for all parameters in `names`, of which at most `width` are free at a time.
+
+    `threshold`: that of Huber's loss in a fit that names none [standard deviations].
+    """
 
     model: Model
     runs: tuple[Run, ...]
@@ -105,6 +109,7 @@ class Problem(eqx.Module):
     width: int = eqx.field(static=True)
     batch: Batch
     accuracy: Accuracy
+    threshold: float = eqx.field(static=True, default=np.inf)
 
     @staticmethod
     def of(
@@ -114,9 +119,10 @@ class Problem(eqx.Module):
         names: Sequence[str],
         width: int,
         accuracy: Accuracy = FIT_ACCURACY,
+        threshold: float = np.inf,
     ) -> "Problem":
         """The problem of fitting `names` of `model` to `runs`, batched with the weights of `noise`."""
-        return Problem(model, tuple(runs), noise, tuple(names), width, batch(runs, noise), accuracy)
+        return Problem(model, tuple(runs), noise, tuple(names), width, batch(runs, noise), accuracy, threshold)
 
     def with_tighter_tolerances(self) -> "Problem":
         """This problem with the tolerances of its simulations divided by 30, for derivatives that are not accurate."""
@@ -176,7 +182,7 @@ class Problem(eqx.Module):
         window = self._within(options.get("until", np.inf))
         most = options.get("most", MOST_STEPS)
         settings = SolverSettings(
-            options.get("enough", 0.05), options.get("crawl", 0.0), options.get("threshold", np.inf)
+            options.get("enough", 0.05), options.get("crawl", 0.0), options.get("threshold", self.threshold)
         )
         at = self.at(values, free, start)
         moving = np.asarray(at.directions)

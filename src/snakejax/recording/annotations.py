@@ -1,6 +1,6 @@
 """What `[[runs]]` says of a recording that its file does not say itself."""
 
-from snakejax.core.toml_table import TO_FILL_IN, Table
+from snakejax.core.toml_table import Table
 
 from .readers import ANGLES, UPRIGHT, X_AXIS_DIRECTIONS, FileAnnotations
 
@@ -23,8 +23,6 @@ def annotations_of(row: Table) -> FileAnnotations:
         up = row.vector("up", 3, "up = [0.0, 0.0, 1.0]")
         if not any(up):
             raise row.error("up", "has no direction", 'write up = "z" or the components of what points up')
-    elif up == TO_FILL_IN:
-        raise row.error("up", "is not filled in", 'write the axis that points up: up = "y" or up = "z"')
     elif up is not None:
         up = row.choice("up", tuple(UPRIGHT))
     x_axis = row.choice("x_axis", tuple(X_AXIS_DIRECTIONS)) if "x_axis" in row.values else "forward"

@@ -10,7 +10,7 @@ import numpy as np
 from snakejax.core.errors import InputError
 from snakejax.core.jax_config import require_x64
 from snakejax.core.parameter import Domain
-from snakejax.core.toml_table import Table, read_toml
+from snakejax.core.toml_table import Table, read_toml, require_filled_in
 from snakejax.dynamics.inputs import AbstractInputs
 from snakejax.dynamics.kinds import CASE_STRUCTURES
 from snakejax.dynamics.vehicle import AbstractVehicle
@@ -68,6 +68,7 @@ def load_case(folder: Path | str) -> Case:
     require_x64()
     folder = Path(folder)
     table = read_toml(_case_file(folder))
+    require_filled_in(table)
     table.require_known(CASE_KEYS)
     if "vehicle" in table.values:
         vehicle, constant_sd = read_vehicle(table)

@@ -175,12 +175,6 @@ def add_run(
     return notes
 
 
-def to_fill_in(folder: Path) -> list[str]:
-    """The keys of the case in `folder` that are still to be filled in, with their lines."""
-    lines = (folder / "case.toml").read_text(encoding="utf-8").split("\n")
-    return [f"{line.split(' = ')[0]} (line {i})" for i, line in enumerate(lines, 1) if f" = {BLANK}" in line]
-
-
 def _run_text(name: str, request: ImportRequest, log: str | None, capture: Capture) -> str:
     # What was converted says all but where the axes of the object point.
     hints = request.hints if capture.format not in CONVERTED else FileAnnotations(x_axis=request.hints.x_axis)

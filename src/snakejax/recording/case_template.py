@@ -11,17 +11,17 @@ from snakejax.core.toml_table import TO_FILL_IN
 from .vehicle_template import vehicle_template
 
 _HEAD = """\
-# A case: a board and its recorded runs. Units are in the names of the keys.
+# A case: a board and its recorded runs. Units are in the names of the keys. Write a value in place of every "?".
 title = "my snakeboard"             # free text; may be left out
 skid = "free"                       # what to start from: "free" (each wheelset skids by itself) or "coupled"
 # area_m = [-2.0, -1.5, 2.0, 1.5]   # lowest x, lowest y, highest x, highest y of the floor: samples outside are wrong
 
 # A snakeboard; another vehicle has a table [vehicle] with its kind in place of this: `snakejax new --vehicle car`.
 [board]
-mass_kg = 7.0                       # all of it: board, rotor, wheelsets
-rotor_inertia_kgm2 = 0.0238         # of the rotor about its axis
-wheelset_inertia_kgm2 = 0.001       # of one wheelset about its pivot
-half_length_m = 0.25                # from the middle to a wheelset
+mass_kg = "?"                       # all of it: board, rotor, wheelsets
+rotor_inertia_kgm2 = "?"            # of the rotor about its axis
+wheelset_inertia_kgm2 = "?"         # of one wheelset about its pivot
+half_length_m = "?"                 # from the middle to a wheelset
 creep_speed_mps = 0.01              # below this wheel speed slip forces fade out
 # inertia_kgm2 = 0.4375             # yaw inertia of all of it, with rotor and wheelsets; left out: m L^2
 # How well these are known, as standard deviations; left out: 3% of the mass, 0.5% of the length, 7% of inertias
@@ -48,9 +48,9 @@ creep_speed_mps = 0.01              # below this wheel speed slip forces fade ou
 
 # Gains of the joint controllers, joints at zero and at rest at t = 0. Leave the table out where the joints
 # follow their commands exactly, rates included.
-[actuator]
-kp = 100.0                          # 1/s^2
-kd = 10.0                           # 1/s
+# [actuator]
+# kp = 100.0                        # 1/s^2
+# kd = 10.0                         # 1/s
 """
 _TEMPLATE_RUNS = """\
 
@@ -69,8 +69,8 @@ object = "board:board"              # its name in the file, in Vicon's subject:s
 # Where markers sit on the board, in m from its middle: forward, left, up. For files with markers only.
 # markers = {nose = [0.3, 0.0, 0.1], tail = [-0.3, 0.0, 0.1], mast = [0.0, 0.1, 0.3]}
 # Commanded angles: [[amplitude rad, angular frequency rad/s, phase rad], ...], each a sin(w t + p), summed
-phi = [[0.916, 4.0, 0.0]]           # steering of the front wheelset; [] stays at zero
-psi = [[1.57, 4.0, 0.0]]            # rotor
+phi = "?"                           # steering of the front wheelset, as [[0.916, 4.0, 0.0]]; [] stays at zero
+psi = "?"                           # rotor, as [[1.57, 4.0, 0.0]]
 # phi_back = [[0.9, 4.0, 3.1416]]   # steering of the back wheelset, same sense; left out: opposite of phi
 # A CSV with columns time_s, phi_rad, psi_rad and, if wanted, phi_back_rad replaces phi, psi and phi_back.
 # "commanded" angles pass through [actuator]; "measured" ones are what the joints did.
@@ -87,8 +87,8 @@ psi = [[1.57, 4.0, 0.0]]            # rotor
 role = "heldout"
 mocap = "heldout-1.csv"
 object = "board:board"
-phi = [[0.7, 3.0, 0.0]]
-psi = [[1.4, 3.0, 3.14159265]]
+phi = "?"
+psi = "?"
 """
 
 
@@ -102,7 +102,7 @@ BLANK = f'"{TO_FILL_IN}"'
 
 
 def template() -> str:
-    """A `case.toml` with the board of Table II, two runs, and every key explained in a comment."""
+    """A `case.toml` with two runs, "?" for each value to be measured, and every key explained in a comment."""
     return _HEAD + _TEMPLATE_RUNS
 
 
@@ -114,8 +114,6 @@ def filled(title: str, board: Mapping[str, float], runs: Sequence[str]) -> str:
         text = re.sub(rf'^{key} = (".*?"|\S+)', lambda _, k=key, v=value: f"{k} = {v}", text, flags=re.MULTILINE)
     if "inertia_kgm2" in board:
         text = text.replace("# inertia_kgm2 = 0.4375 ", f"inertia_kgm2 = {board['inertia_kgm2']!r} ")
-    for line in ("[actuator]", "kp = ", "kd = "):
-        text = text.replace(f"\n{line}", f"\n# {line}")
     return text + _FIRST_RUN + "\n".join(runs)
 
 

@@ -2,11 +2,13 @@
 
 import dataclasses
 
+from snakejax.core.toml_table import TO_FILL_IN
 from snakejax.dynamics.inputs import Input
 from snakejax.vehicles.registry import example_values, vehicle_class
 
 from .case_vehicle import fields_of, sd_keys_of
 
+_BLANK = f'"{TO_FILL_IN}"'
 _FORMS = {"angle": "angle, rad", "speed": "speed of the rim, m/s", "torque": "torque, N m", "command": "command"}
 _RUN = """\
 
@@ -26,10 +28,11 @@ _MORE = """\
 
 
 def vehicle_template(kind: str) -> str:
-    """A `case.toml` for the vehicle `kind` with the values of its example, and every key explained."""
+    """A `case.toml` for the vehicle `kind`: "?" for each value to be measured, and every key explained."""
     vehicle, values = vehicle_class(kind), example_values(kind)
     lines = [
         "# A case: a vehicle and its recorded runs. Units are in the names of the keys.",
+        '# Write a value in place of every "?".',
         f'title = "my {vehicle.noun}"',
         f'skid = "{next(iter(vehicle.structures))}"                       # {" or ".join(vehicle.structures)}: '
         "wheels that slip, or not",
@@ -39,9 +42,10 @@ def vehicle_template(kind: str) -> str:
     ]
     for key, field in fields_of(vehicle).items():
         unit = field.metadata["domain"].unit
-        if field.name in values:
-            lines.append(f"{key} = {values[field.name]!r}".ljust(36) + f"# {_words(field.name)} [{unit}]")
-        elif field.default is not dataclasses.MISSING:
+        if field.default is dataclasses.MISSING:
+            example = f", such as {values[field.name]:g}"
+            lines.append(f"{key} = {_BLANK}".ljust(36) + f"# {_words(field.name)} [{unit}]{example}")
+        else:
             lines.append(f"# {key} = {float(field.default)!r}".ljust(36) + f"# {_words(field.name)} [{unit}]")
     if "unknown" in {f.name for f in dataclasses.fields(vehicle)}:  # type: ignore[arg-type]
         lines.append(
@@ -61,8 +65,8 @@ def vehicle_template(kind: str) -> str:
 def _run(role: str, inputs: tuple[Input, ...]) -> str:
     rows = []
     for one in inputs:
-        terms = f"{one.name} = [[0.3, 2.0, 0.0]]".ljust(36)
-        rows.append(f"{terms}# {one.label} ({_FORMS[one.kind]}): a sin(w t + p), summed")
+        terms = f"{one.name} = {_BLANK}".ljust(36)
+        rows.append(f"{terms}# {one.label} ({_FORMS[one.kind]}): [[a, w, p], ...], a sin(w t + p) summed")
     text = _RUN.format(role=role, inputs="\n".join(rows))
     columns = ", ".join(["time_s", *(one.name for one in inputs)])
     return text + (_MORE.format(columns=columns) if role == "train" else "")

@@ -29,6 +29,7 @@ class Car(AbstractVehicle):
     of which the front wheels have the share `front_drive`. With the ratio and the gain 1 the inputs are rad and N.
     """
 
+    kind: ClassVar[str] = "car"
     noun: ClassVar[str] = "car"
     inputs: ClassVar[tuple[Input, ...]] = (Input("steer", "angle", "steering"), Input("drive", "command", "drive"))
     gain_of: ClassVar[dict[str, str]] = {"steer": "steering_ratio", "drive": "force_gain"}

@@ -19,6 +19,7 @@ class RollerRacer(AbstractVehicle):
     the joint. Swinging it from side to side drives the racer: without slip its motion follows from the angle alone.
     """
 
+    kind: ClassVar[str] = "roller_racer"
     noun: ClassVar[str] = "racer"
     inputs: ClassVar[tuple[Input, ...]] = (Input("handle", "angle", "handlebar"),)
     structures: ClassVar[dict[str, type[AbstractConstraint]]] = {"free": Slipping, "ideal": NonSlipping}

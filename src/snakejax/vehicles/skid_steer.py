@@ -35,6 +35,7 @@ class SkidSteer(AbstractVehicle):
     (`combined_slip`). `effective_track` [m] belongs to the structure "ideal" alone, see `DifferentialDrive`.
     """
 
+    kind: ClassVar[str] = "skid_steer"
     noun: ClassVar[str] = "robot"
     inputs: ClassVar[tuple[Input, ...]] = (
         Input("left", "speed", "left_wheels"),

@@ -19,6 +19,7 @@ class Sleigh(AbstractVehicle):
     The pose is that of the centre of mass. It moves only if its run begins in motion.
     """
 
+    kind: ClassVar[str] = "sleigh"
     noun: ClassVar[str] = "sleigh"
     independent: ClassVar[tuple[str, ...]] = ("u", "r")
     structures: ClassVar[dict[str, type[AbstractConstraint]]] = {"free": Slipping, "ideal": NonSlipping}

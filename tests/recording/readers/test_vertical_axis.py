@@ -102,7 +102,7 @@ def test_where_nothing_shows_it_a_user_is_asked(tmp_path, capsys, monkeypatch):
     assert "up (line" in capsys.readouterr().err
     case = tmp_path / "open" / "case.toml"
     case.write_text(case.read_text().replace('markers = "?"', "markers = {front = [0.2, 0, 0], back = [-0.2, 0, 0]}"))
-    with pytest.raises(InputError, match=r"up in \[\[runs\]\] 1 is not filled in"):
+    with pytest.raises(InputError, match=r'up \(line \d+\) is still "\?"'):
         load_case(tmp_path / "open")
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)

@@ -72,13 +72,13 @@ def effect_template(missing: LatentForce) -> str:
         lines = [*joint, f"v = {by_wheel or _VARIABLES.get(shape.feature, of_vehicle)}", *lines]
     method = "lateral(self, force, wheel, motion)" if drop else "wrench(self, motion)"
     unit = _UNITS[shape.carrier]
-    known = "".join(f" --effect {effect}" for effect in missing.beside if effect != LATERAL_SLIP_SWITCH)
+    known = "".join(f" --with {effect}" for effect in missing.beside if effect != LATERAL_SLIP_SWITCH)
     fields = [f'    {name}: sj.Scalar = sj.param("{_unit(unit, name, shape)}", default=0.0)' for name in coefficients]
     body = "\n".join(f"        {line}" for line in lines)
     values_found = ", ".join(f"{name}={value:.4g}" for name, value in coefficients.items())
     return f'''"""A missing action that depends on {shape.variable}, as `snakejax explain` found it. Edit it as needed.
 
-Fit it:  snakejax fit CASE{" --skid free" if missing.switched else ""}{known} --effect THIS_FILE.py:MissingForce
+Fit it:  snakejax fit CASE{" --skid free" if missing.switched else ""}{known} --with THIS_FILE.py:MissingForce
 Found:   {values_found}
 """
 

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
+import numpy as np
 
 from snakejax.core.parameter import parameters
 from snakejax.dynamics.model import Model
@@ -23,6 +24,17 @@ WIDTH = 13
 ROOM = 9
 """At least so many of them are for effects."""
 WORKERS = 2
+
+
+class BaseFit(NamedTuple):
+    """How the base is fitted: the names of the parameters `held`, and the `threshold` of Huber's loss [standard
+    deviations]."""
+
+    held: frozenset[str] = frozenset()
+    threshold: float = np.inf
+
+
+EVERYTHING_FREE = BaseFit()
 
 
 class CandidateSet(eqx.Module):
@@ -48,10 +60,11 @@ class CandidateSet(eqx.Module):
         library: Mapping[str, Effect],
         switched: bool = False,
         criteria: SelectionCriteria = CRITERIA,
+        how: BaseFit = EVERYTHING_FREE,
     ) -> "CandidateSet":
         """`model` with every effect of `library` that can act on it, over the runs of `case`.
 
-        `switched` says that its structure is not the one the case names.
+        `switched` says that its structure is not the one the case names; `how` its base is fitted.
         """
         # So that one program serves the inertia of the case and any other.
         full, left_out, candidates = with_own_inertia(model), {}, OrderedDict()
@@ -64,11 +77,12 @@ class CandidateSet(eqx.Module):
             else:
                 full_effect = effect
                 full = full.add(**{name: effect})
-            candidates[name] = tuple(f"effects.{name}.{part}" for part in parameters(full_effect))
-        tyre = tuple(n for n in default_free(model) if not n.startswith("effects."))
+            parts = (f"effects.{name}.{part}" for part in parameters(full_effect))
+            candidates[name] = tuple(part for part in parts if part not in how.held)
+        tyre = tuple(n for n in default_free(model) if not n.startswith("effects.") and n not in how.held)
         names = [*tyre, *(part for parts in candidates.values() for part in parts)]
         width = max(WIDTH, len(tyre) + ROOM)
-        problem = Problem.of(full, case.runs, noise, names, width)
+        problem = Problem.of(full, case.runs, noise, names, width, threshold=how.threshold)
         windows = Windows.of(full, case.having("train"), noise, names, width, LENGTH)
         return CandidateSet(problem, windows, tyre, candidates, left_out, switched, criteria)
 
@@ -109,8 +123,8 @@ class CandidateFit(NamedTuple):
     solution: Solution
 
 
-def structures(case: Case, kind: str, constraint: str | None) -> list[Model]:
-    """The models a diagnosis of `case` considers: the base, and, where it constrains the wheels, the
-    one in which each slips by itself."""
-    model = starting_model(case, kind, constraint)
+def structures(case: Case, kind: str, constraint: str | None, start: Model | None = None) -> list[Model]:
+    """The models a diagnosis of `case` considers: the base, which is `start` where it is given, and, where it
+    constrains the wheels, the one in which each slips by itself."""
+    model = starting_model(case, kind, constraint) if start is None else start
     return [model, *(Model(model.board, model.tyre, name, model.effects) for name in model.relaxed())]

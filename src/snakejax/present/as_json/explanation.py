@@ -17,8 +17,18 @@ from snakejax.recording.run import Case, Noise
 from ..as_text.columns import ERROR, HEADING, POSITION, narrow, of_heldout
 from ..as_text.errors import error_text, milli_text, times_noise_text
 from ..as_text.tables import NOT_CONVERGED, add_row, not_converged_line, plain_table
-from .provenance import constraint_kind, heading_json, model_kind
-from .values import Json, clean, estimate_json, misfit_json, parameters_json, rmse_json, runs_json
+from .provenance import constraint_kind, heading_json, model_kind, vehicle_json
+from .values import (
+    Json,
+    all_parameters_json,
+    clean,
+    effects_json,
+    estimate_json,
+    misfit_json,
+    parameters_json,
+    rmse_json,
+    runs_json,
+)
 
 
 def diagnosis_json(
@@ -30,6 +40,7 @@ def diagnosis_json(
             **heading_json(case.name, base.model, noise, provenance),
             "base": {
                 "parameters": parameters_json(_tyre(base)),
+                "effects": _effects(base),
                 "misfit": misfit_json(base.train, base.heldout),
                 "rmse": rmse_json(base.train, base.heldout),
                 "converged": base.converged,
@@ -53,6 +64,7 @@ def explanation_json(explanation: Explanation, provenance: Json, seconds: Json |
         "final": {
             "model": model_kind(final.model),
             "skid": constraint_kind(final.model),
+            "vehicle": vehicle_json(final.model),
             "parameters": parameters_json(_tyre(final)),
             "effects": _effects(final),
             "misfit": misfit_json(final.train, final.heldout),
@@ -122,12 +134,14 @@ def _force_json(run: RunForce) -> Json:
 
 
 def _tyre(step: SelectionStep) -> dict[str, Json]:
-    return _named({name: e for name, e in step.estimates.items() if name.startswith("tyre.")})
+    parts = all_parameters_json(step.model, step.estimates)
+    return {name: part for name, part in parts.items() if name.startswith("tyre.")}
 
 
 def _effects(step: SelectionStep) -> Json:
-    """{effect: {parameter: estimate}} of all effects in the model."""
-    return {effect: _named(step.estimates_of(effect)) for effect in step.effects}
+    """{effect: {parameter: estimate or fixed value}} of all effects in the model."""
+    parts = effects_json(all_parameters_json(step.model, step.estimates), step.model)
+    return {effect: parts.get(effect, {}) for effect in step.effects}
 
 
 def step_json(step: SelectionStep) -> Json:

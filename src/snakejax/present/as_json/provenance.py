@@ -5,6 +5,7 @@ import platform
 from collections.abc import Mapping
 from typing import Any
 
+from snakejax.core.parameter import own_parameters
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.tyres import Bakker, Rayleigh
 from snakejax.recording.run import Noise
@@ -22,9 +23,16 @@ def heading_json(name: str, model: Model, noise: Noise | None, provenance: Json)
         "case": name,
         "model": model_kind(model),
         "skid": constraint_kind(model),
+        "vehicle": vehicle_json(model),
         "noise": noise and noise_json(noise),
         "provenance": provenance,
     }
+
+
+def vehicle_json(model: Model) -> Json:
+    """The kind of the vehicle, the name of its class where it is one of your own, and its constants."""
+    constants = {name: {"value": float(p.value), "unit": p.domain.unit} for name, p in own_parameters(model.board)}
+    return {"kind": model.board.kind or type(model.board).__name__, "constants": constants}
 
 
 def model_kind(model: Model) -> str:

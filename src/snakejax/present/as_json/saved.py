@@ -5,16 +5,19 @@ from pathlib import Path
 from typing import NamedTuple
 
 from snakejax.core.errors import InputError, at_line
+from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.dynamics.kinds import MODEL_KINDS, STRUCTURES
 
 
 class SavedFit(NamedTuple):
-    """A saved fit: `values` of its parameters by short name, `effects` {effect: {parameter: value}}."""
+    """A saved fit: `values` of its parameters by short name, `effects` {effect: {parameter: value}}; the kind of the
+    `vehicle` and its constants, None in files of versions that did not write them."""
 
     model: str
     constraint: str
     values: dict[str, float]
     effects: dict[str, dict[str, float]]
+    vehicle: tuple[str, dict[str, float]] | None = None
 
 
 def saved_fit(path: Path | str) -> SavedFit:
@@ -37,8 +40,13 @@ def saved_fit(path: Path | str) -> SavedFit:
         effects = {
             effect: {name: float(entry["value"]) for name, entry in entries.items()}
             for effect, entries in (part.get("effects") or {}).items()
+            if effect != LATERAL_SLIP_SWITCH  # It is the structure.
         }
-        saved = SavedFit(part.get("model", result["model"]), part.get("skid", result["skid"]), values, effects)
+        kind, structure = part.get("model", result["model"]), part.get("skid", result["skid"])
+        vehicle = part.get("vehicle", result.get("vehicle"))
+        if vehicle is not None:
+            vehicle = vehicle["kind"], {name: float(c["value"]) for name, c in vehicle["constants"].items()}
+        saved = SavedFit(kind, structure, values, effects, vehicle)
     except (KeyError, TypeError, AttributeError, ValueError):
         raise InputError("The file does not hold a fit", str(path), remedy) from None
     if saved.model not in MODEL_KINDS or saved.constraint not in STRUCTURES:

@@ -13,9 +13,10 @@ def plan_text(plan: Plan) -> RenderableType:
     """The base, the runs, and the candidates with their parameters."""
     first, *others = plan.structures
     then = f", then {listed(others)}" if others else ""
+    free = listed(plan.free) if plan.free else "no parameter"
     lines: list[RenderableType] = [
         Text(f"{plan.case}: nothing is fitted."),
-        Text(f"An explanation would fit {listed(plan.free)} under {first}{then}"),
+        Text(f"An explanation would fit {free} under {first}{then}"),
         Text(f"to {len(plan.train)} train runs ({', '.join(plan.train)})"),
         Text(f"and judge the result by {len(plan.heldout)} held-out runs ({', '.join(plan.heldout) or 'none'})."),
         Text(""),

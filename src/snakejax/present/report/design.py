@@ -92,7 +92,7 @@ def _numbers(result: Json) -> Section:
         table("A sum of sines, as case.toml takes it", heads, rows),
         table("Limits, and what command and joint reach", ("", "#limit", "#reached"), limits),
     )
-    description = "gait.toml beside this page holds the gait as two lines for a run in case.toml."
+    description = "The file ending in gait.toml beside this page holds the gait as two lines for a run in case.toml."
     return Section("numbers", "Numbers", (description,), (), tables)
 
 

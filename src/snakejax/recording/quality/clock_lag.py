@@ -75,7 +75,7 @@ def clocks(run: Run) -> list[Finding]:
         return []
     track, late = PoseSeries.of(run), "later" if estimate.offset < 0 else "earlier"
     what = f"the joints move {abs(estimate.offset):.2g} s {late} than commanded, or their clock runs at another pace"
-    remedy = "correct the start of the recording or its frame rate, or let the fit find it: --effect clock_offset"
+    remedy = "correct the start of the recording or its frame rate, or let the fit find it: --with clock_offset"
     every = np.flatnonzero(track.present)
     return [finding("clock_offset", track, every, what, remedy, size=abs(estimate.offset), unit="s")]
 

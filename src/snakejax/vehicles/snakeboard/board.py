@@ -23,6 +23,7 @@ class Board(AbstractVehicle):
     slip angle (`slip_angle`); the default 1 mm/s is far below any measured speed.
     """
 
+    kind: ClassVar[str] = "snakeboard"
     noun: ClassVar[str] = "board"
     inputs: ClassVar[tuple[Input, ...]] = (
         Input("phi", "angle", "steering"),

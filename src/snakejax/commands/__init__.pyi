@@ -1,0 +1,10 @@
+from .diagnosing import ExplainOptions as ExplainOptions
+from .diagnosing import diagnose as diagnose
+from .diagnosing import explain as explain
+from .fitting import FitOptions as FitOptions
+from .fitting import compare as compare
+from .fitting import fit as fit
+from .gaits import TuneOptions as TuneOptions
+from .gaits import tune as tune
+from .loading import load_model as load_model
+from .requested_model import ModelOptions as ModelOptions

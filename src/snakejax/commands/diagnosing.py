@@ -1,0 +1,122 @@
+"""`diagnose` and `explain`."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import NamedTuple, Unpack
+
+from snakejax.core.errors import InputError, instead_of
+from snakejax.core.progress import no_progress
+from snakejax.diagnosis.diagnosing import Diagnosis, DiagnosisOptions
+from snakejax.diagnosis.diagnosing import diagnose as diagnosed
+from snakejax.diagnosis.explaining import explain as explained
+from snakejax.diagnosis.explanation import Explanation
+from snakejax.diagnosis.plan import Plan, plan_of
+from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
+from snakejax.dynamics.kinds import TYRE_LAWS
+from snakejax.dynamics.model import Model
+from snakejax.dynamics.ports import Effect
+from snakejax.estimation.initial_model import default_free
+from snakejax.estimation.joint_logs.fitting import with_estimated_logs
+from snakejax.recording.case import structures_of
+from snakejax.recording.quality import noise_of
+from snakejax.recording.run import Case, Noise
+
+from .case_argument import sound_case, takes
+from .fitting import FitOptions
+from .named_effects import EffectArguments, candidate_library
+from .option_texts import names, threshold
+from .requested_model import requested_model
+
+
+class ExplainOptions(FitOptions, total=False):
+    """The options of `diagnose` and `explain`: those of `fit` for the base, and its candidates.
+
+    `effect`: candidates beside the built-in ones: "FILE.py:Class", classes, or effects with the values to start from;
+    `without`: names of effects that are no candidates.
+    """
+
+    effect: EffectArguments | None
+    without: str | Iterable[str] | None
+
+
+class Question(NamedTuple):
+    """What `diagnose` and `explain` of `snakejax.diagnosis` are asked: from `start`, with `library` and `options`."""
+
+    start: Model
+    noise: Noise
+    library: dict[str, Effect]
+    options: DiagnosisOptions
+
+
+@takes(ExplainOptions, as_recorded=False, progress=no_progress)
+def diagnose(case: Case | Path | str, **options: Unpack[ExplainOptions]) -> Diagnosis:
+    """Rank the effects that may be missing, without adding any, as `snakejax diagnose` does.
+
+    **Arguments:** `case`: a `Case` or the folder of one; `options`: see `ExplainOptions`.
+    **Raises:** as `fit`.
+    """
+    return diagnose_case(sound_case(case, options.get("as_recorded", False)), options)
+
+
+def diagnose_case(case: Case, options: ExplainOptions) -> Diagnosis:
+    """The diagnosis of an inspected `case`. **Raises:** as `fit`."""
+    asked = question(case, options)
+    progress = asked.options.get("progress", no_progress)
+    logged = with_estimated_logs(asked.start, case, asked.noise, progress)
+    return diagnosed(logged, asked.noise, asked.library, **asked.options)
+
+
+@takes(ExplainOptions, as_recorded=False, progress=no_progress)
+def explain(case: Case | Path | str, **options: Unpack[ExplainOptions]) -> Explanation:
+    """Find out which effects the recordings of `case` show beyond the base model, as `snakejax explain` does.
+
+    **Arguments:** `case`: a `Case` or the folder of one; `options`: see `ExplainOptions`.
+    **Raises:** as `fit`.
+    """
+    return explain_case(sound_case(case, options.get("as_recorded", False)), options)
+
+
+def explain_case(case: Case, options: ExplainOptions) -> Explanation:
+    """The explanation of an inspected `case`. **Raises:** as `fit`."""
+    asked = question(case, options)
+    return explained(case, asked.noise, asked.library, **asked.options)
+
+
+def plan_case(case: Case, options: ExplainOptions) -> Plan:
+    """What `explain` would try on an inspected `case`. **Raises:** `InputError` as `explain`."""
+    asked = question(case, options)
+    options_of_plan = {key: value for key, value in asked.options.items() if key in ("held", "with_", "switch")}
+    return plan_of(case, asked.library, start=asked.start, **options_of_plan)  # type: ignore[arg-type]
+
+
+def question(case: Case, options: ExplainOptions) -> Question:
+    """What is asked about an inspected `case`. **Raises:** `InputError` where the options contradict the question."""
+    base = requested_model(case, options)
+    if options.get("model") == "ideal":
+        what = "A diagnosis cannot start from the model `ideal`, which has no tyre"
+        raise InputError(what, "option --model", f"take one of {', '.join(TYRE_LAWS)}")
+    if base.model.structure not in (known := structures_of(case.board)):
+        what = f"A diagnosis cannot start from the structure `{base.model.structure}`"
+        where = "option --skid" if options.get("skid") or not options.get("from_") else "option --from"
+        raise InputError(what, where, instead_of(base.model.structure, known))
+    library = candidate_library(options.get("effect"), options.get("without"), case.board)
+    effects = dict(base.model.effects)
+    usual = default_free(base.model)
+    freed = base.freed(names(options.get("free")))
+    for name in freed:
+        if name not in usual:
+            what = f"`{name}` is not one of the parameters that the base can estimate"
+            raise InputError(what, "option --free", instead_of(name, usual))
+    asked = DiagnosisOptions(
+        start=base.model,
+        held=frozenset(usual) - frozenset(freed),
+        with_=tuple(effects),
+        switch=LATERAL_SLIP_SWITCH not in _listed(options.get("without")),
+        threshold=threshold(options.get("robust")),
+        progress=options.get("progress", no_progress),
+    )
+    return Question(base.model, noise_of(case), {**library, **effects}, asked)
+
+
+def _listed(without: str | Iterable[str] | None) -> list[str]:
+    return [without] if isinstance(without, str) else [*(without or ())]
