@@ -92,10 +92,11 @@ def refit(board: Hidden, poses: dict[str, np.ndarray]) -> dict:
 
     `known`: the same errors without the strange law, which is the best that effects of a library can do.
     """
-    best, plain = refitted(board, poses), board
-    if board.strange:
-        plain = dataclasses.replace(board, values={n: v * (n not in STRANGE_USUAL) for n, v in board.values.items()})
-    return best | {"known": refitted(plain, poses)["heldout"] if board.strange else best["heldout"]}
+    best = refitted(board, poses)
+    if not board.strange:
+        return best | {"known": best["heldout"]}
+    plain = dataclasses.replace(board, values={n: v * (n not in STRANGE_USUAL) for n, v in board.values.items()})
+    return best | {"known": refitted(plain, poses)["heldout"]}
 
 
 def refitted(board: Hidden, poses: dict[str, np.ndarray]) -> dict:

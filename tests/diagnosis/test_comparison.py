@@ -7,7 +7,14 @@ import scipy.signal
 from scipy import stats
 
 from snakejax.diagnosis.residuals.comparison import compare, compare_models
-from snakejax.diagnosis.residuals.dependence import rate, residual_dependence
+from snakejax.diagnosis.residuals.dependence import (
+    LEVEL,
+    VarianceShare,
+    general_name,
+    rate,
+    residual_dependence,
+    significant_shares,
+)
 from snakejax.diagnosis.residuals.intervals import interval_misfits, largest_residuals
 from snakejax.diagnosis.residuals.replays import ResidualSeries, gait_phase
 from snakejax.diagnosis.residuals.whiteness import autocorrelation, portmanteau, whiteness
@@ -144,6 +151,15 @@ def test_the_variable_is_found_and_its_share_is_right() -> None:
     assert (best.variable, best.channel) == ("gait_phase", "y")
     assert best.share == pytest.approx(0.5, abs=0.03) and best.p_family < 0.01
     assert not [s for s in found if s.p_family < 0.05 and s.variable != "gait_phase"]
+
+
+def test_only_what_is_not_chance_is_named_by_its_general_name() -> None:
+    """The level is that of the family; place and slips have parts, a speed has none."""
+    shares = [VarianceShare("slip_front", "x", 0.3, 0.001, LEVEL), VarianceShare("y", "x", 0.2, 0.001, 1.01 * LEVEL)]
+    assert significant_shares(shares) == (shares[0],)
+    names = ["x", "y", "slip_front", "slip_back", "speed", "heading", "gait_phase"]
+    general = ["world_position"] * 2 + ["slip"] * 2 + names[4:]
+    assert [general_name(name) for name in names] == general
 
 
 def test_a_bend_over_place_is_found() -> None:

@@ -13,6 +13,7 @@ from rich.table import Table
 
 from snakejax import Fit, Noise
 from snakejax.cli.simulate import _report as simulated
+from snakejax.diagnosis.explanation import PoseError, Remainder
 from snakejax.diagnosis.latent_force.missing_force import RunForce
 from snakejax.diagnosis.residuals.comparison import ModelScore, compare
 from snakejax.estimation import fit
@@ -189,6 +190,19 @@ def test_a_component_that_the_data_do_not_show_is_not_determined() -> None:
     assert {trace["yaxis"] for trace in charts(page)["chart-force-0"]["data"]} == {"y", "y2"}
     felt_nowhere = (RunForce("here", t, force, np.full_like(sd, np.nan)),)
     assert determined(felt_nowhere) == (False, False, False)
+
+
+def test_what_remains_says_with_what_it_goes() -> None:
+    """Above the floor, in mm and mrad; no variable where none is significant."""
+    floor = PoseError(1e-3, 2e-3, "cameras and a random force")
+    depends = (("rotor_rate", 0.31), ("world_position", 0.02))
+    rest = Remainder(3.2e-3, 4.5e-3, depends)
+    found = dataclasses.replace(story(verdict="explained"), floor=floor, remainder=rest)
+    text = joined(shown(explanation_text(found)))
+    assert "leaves 3.20 mm and 4.50 mrad above that" in text
+    assert "a share goes with rotor_rate (31%) and world_position (2%)" in text
+    alone = dataclasses.replace(found, remainder=rest._replace(depends_on=()))
+    assert "depend on no variable (5%)" in joined(shown(explanation_text(alone)))
 
 
 def test_arrows_of_a_force_have_a_scale() -> None:

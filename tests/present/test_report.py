@@ -11,7 +11,7 @@ from helpers.made_up_explanation import models, result, story
 from helpers.small_case import NASTY, NASTY_RUN, small
 
 from snakejax import Case, Fit, Noise
-from snakejax.diagnosis.explanation import RunBand
+from snakejax.diagnosis.explanation import run_bands
 from snakejax.estimation.goodness_of_fit import BAND
 from snakejax.present.as_json.fit import fit_json
 from snakejax.present.as_json.provenance import provenance_json
@@ -168,10 +168,11 @@ def test_a_tuned_gait(browser, tmp_path) -> None:
 
 def test_a_band_is_drawn_over_what_was_measured() -> None:
     """The run that was measured less its prediction, and 1.96 standard deviations to both sides, in mm and mrad."""
-    t, sd = np.arange(0.0, 3.0, 0.01), np.tile([0.002, 0.003, 0.001], (300, 1))
+    run, unseen = story().case.runs[:2]
+    sd = np.tile([0.002, 0.003, 0.001], (len(run.times), 1))
     residual = sd * np.random.default_rng(1).normal(size=sd.shape)
     residual[50:60] = np.nan
-    band = RunBand.of("there", "heldout", t, residual, sd)
+    (band,) = run_bands([run, unseen], [residual, np.full_like(sd, np.nan)], [sd, sd])
     seen = np.isfinite(residual)
     assert band.inside == (np.abs(residual[seen] / sd[seen]) <= BAND).mean()
     text = explanation_page(dataclasses.replace(story(), bands=(band,)), result(), models())

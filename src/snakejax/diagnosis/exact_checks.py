@@ -5,7 +5,7 @@ import numpy as np
 from snakejax.core.parameter import parameters
 from snakejax.estimation.fitted_model import FittedModel
 
-from .explanation import RunBand
+from .explanation import RunBand, run_bands
 from .odd_runs import OddRun, odd_runs, run_grams
 from .selection.candidates import CandidateFit, CandidateSet
 from .selection.score_test import projected
@@ -15,10 +15,8 @@ from .selection.screening import window_sensitivities
 def bands_of(fitted: FittedModel) -> tuple[RunBand, ...]:
     """The share of each run inside the bands of 95%, which are those of the noise alone."""
     sd = np.asarray(fitted.noise.channels)
-    return tuple(
-        RunBand.of(run.name, run.role, np.asarray(run.times), residual * sd, np.tile(sd, (len(residual), 1)))
-        for run, residual in zip(fitted.recordings, fitted.residuals, strict=True)
-    )
+    residuals = [residual * sd for residual in fitted.residuals]
+    return run_bands(fitted.recordings, residuals, [np.broadcast_to(sd, residual.shape) for residual in residuals])
 
 
 def odd_runs_beside(candidate_set: CandidateSet, step: CandidateFit) -> tuple[OddRun, ...]:

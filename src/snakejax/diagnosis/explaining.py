@@ -28,6 +28,7 @@ from .exact_checks import bands_of, odd_runs_beside
 from .explanation import Explanation
 from .inexact.confidence import AMBIGUOUS, STAND_IN, SURE
 from .inexact.explaining import assess_effects, explanation_of, shares_of, supports
+from .inexact.steps import steps_of
 from .latent_force.missing_force import LatentForce, choose_structure
 from .selection.acceptance import accept_structure, heldout_consistent
 from .selection.candidates import CandidateFit, CandidateSet
@@ -165,19 +166,19 @@ def _when_no_model_is_exact(
         return None
     if found.inside("train") < criteria.least_inside:
         return None
-    explanation = explanation_of(case, noise, found, candidate_set, diagnosis.base.record)
-    return explanation if _lowers_error(explanation) else None
+    steps = (diagnosis.base.record, *steps_of(found, candidate_set))
+    return explanation_of(case, noise, found, criteria, steps) if _lower_error(steps) else None
 
 
-def _lowers_error(explanation: Explanation) -> bool:
-    """Whether the effects, where any are claimed, lower the error of whole runs, train and held-out ones.
+def _lower_error(steps: Sequence[SelectionStep]) -> bool:
+    """Whether the effects of the last step, where it has any, lower the error of whole runs that the base leaves.
 
     The likelihood with a random force may prefer effects that do not: they then stand in for a law that the model
     lacks, and the force takes up what they cannot do.
     """
-    base, final = explanation.base, explanation.final
+    base, final = steps[0], steps[-1]
     pairs = [(base.train, final.train), (base.heldout, final.heldout)]
-    return not explanation.effects or all(
+    return set(final.effects) <= set(base.effects) or all(
         after.misfit < before.misfit for before, after in pairs if before is not None and after is not None
     )
 

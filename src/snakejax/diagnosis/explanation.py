@@ -1,6 +1,7 @@
 """What the loop found, as plain data."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,7 +10,7 @@ from jaxtyping import Float
 from snakejax.core.tabular import Tabular, listed, three_digits
 from snakejax.estimation.goodness_of_fit import BAND, score_columns
 from snakejax.estimation.uncertainty import Estimate
-from snakejax.recording.run import Case, Noise
+from snakejax.recording.run import Case, Noise, Run
 
 from .latent_force.missing_force import LatentForce
 from .odd_runs import OddRun
@@ -56,12 +57,18 @@ class RunBand(NamedTuple):
     residual: Float[np.ndarray, "n 3"]
     sd: Float[np.ndarray, "n 3"]
 
-    @staticmethod
-    def of(run: str, role: str, times: np.ndarray, residual: np.ndarray, sd: np.ndarray) -> "RunBand":
-        """The band of one run, with the share that it holds; 1 where nothing was measured."""
+
+def run_bands(runs: Sequence[Run], residuals: Sequence[np.ndarray], sds: Sequence[np.ndarray]) -> tuple[RunBand, ...]:
+    """The band of each of the `runs` in which anything was measured; rows after the end of a run are left out."""
+    bands = []
+    for run, residual, sd in zip(runs, residuals, sds, strict=True):
+        times = np.asarray(run.times)
+        residual, sd = residual[: len(times)], sd[: len(times)]
         seen = np.isfinite(residual)
-        within = np.abs(residual[seen]) <= BAND * sd[seen]
-        return RunBand(run, role, float(within.mean()) if within.size else 1.0, times, residual, sd)
+        if seen.any():
+            inside = float((np.abs(residual[seen]) <= BAND * sd[seen]).mean())
+            bands.append(RunBand(run.name, run.role, inside, times, residual, sd))
+    return tuple(bands)
 
 
 class Remainder(NamedTuple):

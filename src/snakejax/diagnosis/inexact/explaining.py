@@ -14,12 +14,12 @@ from ..explanation import Explanation, PoseError, Remainder, TriedCandidate
 from ..residuals.dependence import general_name, residual_dependence, significant_shares
 from ..residuals.replays import replay_runs
 from ..selection.candidates import CandidateSet
+from ..selection.criteria import SelectionCriteria
 from ..selection.steps import SelectionStep
 from .assessment import Assessment, assess
 from .candidate_model import candidate_model, movable_parameters
 from .left_out import with_predicting_effects
 from .search import Search, search_effects
-from .steps import steps_of
 
 
 def supports(candidate_set: CandidateSet) -> bool:
@@ -48,12 +48,10 @@ def assess_effects(
 
 
 def explanation_of(
-    case: Case, noise: Noise, found: Assessment, candidate_set: CandidateSet, base: SelectionStep
+    case: Case, noise: Noise, found: Assessment, criteria: SelectionCriteria, steps: Sequence[SelectionStep]
 ) -> Explanation:
-    """The explanation with the effects `found`, after the `base`."""
-    criteria = candidate_set.criteria
-    steps = [base, *steps_of(found, candidate_set)]
-    final = steps[-1]
+    """The explanation with the effects `found`, which the `steps` from the base on add."""
+    base, final = steps[0], steps[-1]
     claimed = tuple(effect for effect in final.effects if effect not in base.effects)
     explained = found.check is None or (found.check.passed and found.inside("heldout") >= criteria.least_inside)
     verdict = ("explained" if claimed else "adequate") if explained else "unexplained"

@@ -19,7 +19,7 @@ from snakejax.estimation.discrepancy.segments import Segments
 from snakejax.estimation.goodness_of_fit import NOISE_SIGMAS
 from snakejax.recording.run import Run
 
-from ..explanation import RunBand
+from ..explanation import RunBand, run_bands
 from .search import Search
 from .subsets import Subsets
 
@@ -63,7 +63,7 @@ def predictive_check(data: SegmentData, best: Optimum, discrepancy: Discrepancy)
 
 def bands(runs: Sequence[Run], data: SegmentData, best: Optimum, discrepancy: Discrepancy) -> tuple[RunBand, ...]:
     """How well bands of 95%, predicted from the start of each run, hold what was measured."""
-    return _named(runs, *open_loop(data, discrepancy, best.free).predicted(covariance=best.covariance))
+    return run_bands(runs, *open_loop(data, discrepancy, best.free).predicted(covariance=best.covariance))
 
 
 def left_out_bands(
@@ -83,12 +83,4 @@ def left_out_bands(
         kept = [fit.free.index(column) for column in fit.free if column in free]
         covariance[k][np.ix_(place, place)] = fit.covariance[np.ix_(kept, kept)]
     steps = np.array([fit.step[list(free)] for fit in fits])
-    return _named(runs, *open_loop(data, discrepancy, free).predicted(steps, covariance))
-
-
-def _named(runs: Sequence[Run], residual: np.ndarray, sd: np.ndarray) -> tuple[RunBand, ...]:
-    made = []
-    for run, left, error in zip(runs, residual, sd, strict=True):
-        times = np.asarray(run.times)
-        made.append(RunBand.of(run.name, run.role, times, left[: len(times)], error[: len(times)]))
-    return tuple(made)
+    return run_bands(runs, *open_loop(data, discrepancy, free).predicted(steps, covariance))

@@ -103,6 +103,7 @@ class Search(NamedTuple):
         )
         furthest = np.where(segments.multiplicative, np.log(FURTHEST_FACTOR), np.inf)
         low, high = np.maximum(low, -furthest), np.minimum(high, furthest)
+        # What is further off already may stay where it is.
         constants = list(model.constants)
         away = FURTHEST_CONSTANT * model.sd[constants]
         low[constants] = np.maximum(low[constants], np.minimum(prior.mean[constants] - away, 0.0))

@@ -56,8 +56,11 @@ def floor_sentences(explanation: Explanation) -> Iterator[str]:
     rest = explanation.remainder
     if rest is not None and rest.position_m + rest.heading_rad > 0:
         depends = [f"{variable} ({percent(share)})" for variable, share in rest.depends_on[:3]]
-        where = f"Of its residuals in train runs a share goes with {listed(depends)}." if depends else ""
-        where = where or "Its residuals in train runs depend on no variable (5%)."
+        where = (
+            f"Of its residuals in train runs a share goes with {listed(depends)}."
+            if depends
+            else "Its residuals in train runs depend on no variable (5%)."
+        )
         yield f"The model leaves {pose_error_text(rest.position_m, rest.heading_rad)} above that. {where}"
     if explanation.constants:
         parts = [

@@ -50,14 +50,14 @@ def prediction_bands(bands: Sequence[RunBand], look: LineStyle, exact: bool) -> 
 
     `exact`: the bands are those of the noise alone.
     """
+    counted = (
+        "is that of the noise"
+        if exact
+        else "counts parameters, random force and cameras; train runs are predicted with the parameters of the others"
+    )
     sentence = (
         "Measured less predicted pose of each run, simulated from its start and corrected nowhere, over the 95% band of"
-        " the prediction. "
-    ) + (
-        "The band is that of the noise."
-        if exact
-        else "The band counts parameters, random force and cameras; train runs are predicted with the parameters of the"
-        " others."
+        f" the prediction. The band {counted}."
     )
     charts = tuple(_band_over_time(one, k, look) for k, one in enumerate(bands))
     return Section("bands", "Predictions and their bands", (sentence,), charts, wide=False)
