@@ -73,4 +73,3 @@ def test_a_strong_effect_is_found_beside_what_no_model_holds() -> None:
     assert found.share["rolling_resistance"] > 0.95
     assert 0.85 < np.mean([band.inside for band in found.bands]) <= 1.0
     assert found.final.heldout.misfit < 0.01 * found.base.heldout.misfit
-    assert "world_position" in dict(found.remainder.depends_on)
