@@ -45,11 +45,11 @@ from snakejax.diagnosis import explain  # noqa: E402
 from snakejax.diagnosis.selection.candidates import CandidateFit, CandidateSet  # noqa: E402
 from snakejax.diagnosis.selection.criteria import CRITERIA  # noqa: E402
 from snakejax.diagnosis.selection.refit import refit  # noqa: E402
-from snakejax.diagnosis.selection.score_test import ScoreTest, confusable  # noqa: E402
+from snakejax.diagnosis.selection.score_test import ScoreTest, confusable, tested  # noqa: E402
 from snakejax.diagnosis.selection.screening import screen_candidates, window_sensitivities  # noqa: E402
 from snakejax.effects import LIBRARY  # noqa: E402
 from snakejax.estimation.initial_model import starting_model  # noqa: E402
-from snakejax.estimation.sensitivity import Sensitivities, tested  # noqa: E402
+from snakejax.estimation.sensitivity import Sensitivities  # noqa: E402
 
 CANDIDATES = {name: kind() for name, kind in LIBRARY.items()}
 STRENGTHS = (0.5, 0.75, 1.0, 1.5, 2.5)
