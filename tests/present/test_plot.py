@@ -11,6 +11,7 @@ import subprocess
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray
@@ -21,15 +22,19 @@ from matplotlib.figure import Figure
 from matplotlib.testing.compare import compare_images
 from PIL import Image
 
-from snakejax import InputError, polynomial
+from snakejax import InputError, Model, Pacejka, Run, Sines, polynomial
 from snakejax.diagnosis.explanation import Explanation
 from snakejax.diagnosis.latent_force.missing_force import LatentForce
 from snakejax.diagnosis.selection.steps import SelectionStep
+from snakejax.dynamics.axle_tyres import FrontRear
+from snakejax.dynamics.inputs import Inputs
+from snakejax.dynamics.vehicle import WHEEL
 from snakejax.estimation.replay import fitted_starts, replay
 from snakejax.present import plot
 from snakejax.present.plot.paths import titled
 from snakejax.present.style import BASE, COLOURS, DASHES, MEASURED, step_style
 from snakejax.present.views import ModelView, view_of_fit, view_of_model
+from snakejax.vehicles.car import Car
 
 PICTURES = Path(__file__).parent / "pictures"
 TOLERANCE = 6.0
@@ -54,7 +59,7 @@ FIGURES = {
     "paths": lambda m: plot.paths([m]),
     "residuals": lambda m: plot.residuals(m),
     "tyre": lambda m: plot.tyre([m]),
-    "board": lambda m: plot.board(m, small()[0].board, time=2.0),
+    "vehicle": lambda m: plot.vehicle(m, small()[0].board, time=2.0),
     "sweep": lambda m: plot.sweep(swept(), polynomial(swept().D.values, swept().k_s.values), "made"),
     "ranking": lambda m: plot.ranking(story().base),
     "confusability": lambda m: plot.confusability(story().base),
@@ -165,15 +170,16 @@ def test_a_film_that_cannot_be_made_is_refused_in_one_line(model, tmp_path, monk
     with pytest.raises(InputError, match=r"needs ffmpeg.*install ffmpeg, or write a GIF"):
         plot.animate(model, board, tmp_path / "run.mp4")
     with pytest.raises(ValueError, match="There is no run `nowhere`: take one of here, there"):
-        plot.board(model, board, "nowhere")
+        plot.vehicle(model, board, "nowhere")
     assert list(tmp_path.iterdir()) == []
 
 
 def _cut(scene, samples: int):
     """The first `samples` of a scene."""
     track = scene.track._replace(times=scene.track.times[:samples])
-    parts = ("measured", "pose", "steered", "rotor", "slip_speed")
-    return scene._replace(track=track, **{part: getattr(scene, part)[:samples] for part in parts})
+    parts = ("measured", "pose", "wheels", "slip_speed")
+    joints = {name: angle[:samples] for name, angle in scene.joints.items()}
+    return scene._replace(track=track, joints=joints, **{part: getattr(scene, part)[:samples] for part in parts})
 
 
 def test_a_simulated_run_is_a_scene_too() -> None:
@@ -196,3 +202,25 @@ def test_a_dollar_in_the_name_of_a_run_is_drawn_as_it_is(name, tmp_path) -> None
         figure.savefig(tmp_path / "title.svg")
     words = [text for text in ElementTree.parse(tmp_path / "title.svg").getroot().itertext() if text.strip()]
     assert f"{name} (held out)" in words
+
+
+def test_a_car_is_drawn_with_its_wheels_where_the_model_has_them() -> None:
+    """Two front wheels at R(heading) (front, +-0.6 length), turned by heading and steering angle."""
+    car = Car(mass=1.6, inertia=0.008, front=0.08, rear=0.09)
+    tyre = Pacejka(4.0, 1.3, 3.0, 0.0)
+    inputs = Inputs({"steer": Sines.of([[0.3, 0.0, np.pi / 2]]), "drive": Sines.of([[2.0, 0.0, np.pi / 2]])})
+    times = jnp.arange(0.0, 1.0, 0.02)
+    run = Run("arc", "train", times, jnp.full((len(times), 3), jnp.nan), inputs)
+    view = view_of_model(Model(car, FrontRear(tyre, tyre), "free"), [run], np.array([[0.5, -0.2, 0.7]]))
+    (scene,) = view.scenes
+    figure = plot.vehicle(view, car, time=0.98)
+    x, y, heading = scene.pose[-1]
+    angle, length = heading + 0.3, float(car.length)
+    drawn = [np.array(line.get_data()) for line in figure.axes[0].lines]
+    for side in (-1, 1):
+        middle = np.array([x, y]) + 0.08 * np.array([np.cos(heading), np.sin(heading)])
+        middle += side * 0.6 * length * np.array([-np.sin(angle), np.cos(angle)])
+        along = WHEEL * length * np.array([np.cos(angle), np.sin(angle)])
+        wheel = np.stack([middle - along, middle + along], axis=1)
+        assert any(line.shape == (2, 2) and np.allclose(line, wheel, atol=1e-9) for line in drawn)
+    assert len(plot.snapshots(view, car, count=4).axes[0].lines) == len(drawn) + 3 * (len(car.outline()) + 2 * (2 + 1))

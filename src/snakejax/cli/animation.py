@@ -1,4 +1,4 @@
-"""Animations of the moving board (`--animate`)."""
+"""Animations of the moving vehicle (`--animate`)."""
 
 import argparse
 from pathlib import Path
@@ -8,8 +8,8 @@ from snakejax.core.errors import InputError
 from snakejax.core.progress import Progress
 
 if TYPE_CHECKING:
+    from snakejax.dynamics.vehicle import AbstractVehicle
     from snakejax.present.views import ModelView
-    from snakejax.vehicles.snakeboard.board import Board
 
 
 def add_films(command: Any) -> None:
@@ -31,7 +31,9 @@ def require_films(options: argparse.Namespace) -> None:
     require_film(options.animate, "option --animate")
 
 
-def films(options: argparse.Namespace, model: "ModelView", board: "Board", folder: Path, say: Progress) -> None:
+def films(
+    options: argparse.Namespace, model: "ModelView", vehicle: "AbstractVehicle", folder: Path, say: Progress
+) -> None:
     """Write an animation of each run, COMMAND-RUN.gif or .mp4, into `folder`."""
     from snakejax.present.plot import animate
 
@@ -39,4 +41,4 @@ def films(options: argparse.Namespace, model: "ModelView", board: "Board", folde
         return
     for replay in model.scenes:
         file = folder / f"{options.command}-{replay.run}.{options.animate}"
-        animate(model, board, file, replay.run, say)
+        animate(model, vehicle, file, replay.run, say)

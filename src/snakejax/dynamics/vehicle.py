@@ -63,10 +63,25 @@ class Placement(NamedTuple):
 
 
 class Stroke(NamedTuple):
-    """A line of the picture of a vehicle: `points` (x, y) [m] in the frame of `part`, the base or an input's joint."""
+    """A line of the picture of a vehicle through `points` (x, y) [m].
+
+    The line turns with `part`, the base or a joint, about the `pivot` (x, y) [m] in the base frame; points count from
+    there.
+    """
 
     points: tuple[tuple[float, float], ...]
     part: str = "base"
+    pivot: tuple[float, float] = (0.0, 0.0)
+
+
+WHEEL = 0.18
+"""Half the length of a wheel in pictures, in lengths of the vehicle."""
+
+
+def wheels_across(length: float, half_track: float) -> tuple[Stroke, ...]:
+    """The picture of two wheels `half_track` [m] to both sides of their axle; of one wheel where that is zero."""
+    half = WHEEL * length
+    return tuple(Stroke(((-half, y), (half, y))) for y in sorted({-half_track, half_track}))
 
 
 class AbstractVehicle(Parametrised):
@@ -184,6 +199,11 @@ class AbstractVehicle(Parametrised):
         return named
 
     def outline(self) -> tuple[Stroke, ...]:
-        """The picture of the vehicle: by default a bar as long as it is."""
+        """The picture of the vehicle without its wheels: by default a bar as long as it is."""
         half = float(self.length)
         return (Stroke(((-half, 0.0), (half, 0.0))),)
+
+    def wheel_outline(self, wheelset: Wheelset) -> tuple[Stroke, ...]:
+        """The picture of `wheelset` in its own frame: by default one wheel."""
+        del wheelset
+        return wheels_across(float(self.length), 0.0)

@@ -11,7 +11,7 @@ from snakejax.dynamics.constraints import AbstractConstraint, NonSlipping, Slipp
 from snakejax.dynamics.contact import Motion
 from snakejax.dynamics.inputs import Input
 from snakejax.dynamics.signals import Joint
-from snakejax.dynamics.vehicle import AbstractVehicle, Angles, Body, Joints, Placement, Stroke, Wheelset
+from snakejax.dynamics.vehicle import AbstractVehicle, Angles, Body, Joints, Placement, Stroke, Wheelset, wheels_across
 
 DEAD_BAND_WIDTH = 0.01
 """Width of the smooth edge of the dead band, in units of the command."""
@@ -104,9 +104,15 @@ class Car(AbstractVehicle):
         return eqx.tree_at(lambda c: (c.front, c.rear), self, (self.front - ahead, self.rear + ahead))
 
     def outline(self) -> tuple[Stroke, ...]:
-        """A rectangle as long as the wheelbase and a third more."""
-        a, b, half = 1.3 * float(self.front), -1.3 * float(self.rear), 0.6 * float(self.length)
-        return (Stroke(((a, half), (b, half), (b, -half), (a, -half), (a, half))),)
+        """A rectangle as long as the wheelbase and a half more, with an arrow at its nose."""
+        a, b, half = 1.5 * float(self.front), -1.5 * float(self.rear), 0.8 * float(self.length)
+        nose = a + 0.4 * half
+        return (Stroke(((a, half), (b, half), (b, -half), (a, -half), (nose, 0.0), (a, half), (a, -half))),)
+
+    def wheel_outline(self, wheelset: Wheelset) -> tuple[Stroke, ...]:
+        """The two wheels that the one of the model stands for."""
+        del wheelset
+        return wheels_across(float(self.length), 0.6 * float(self.length))
 
 
 DART = dict(mass=1.58, inertia=0.008, front=0.0805, rear=0.0930, front_drive=0.536)

@@ -8,7 +8,7 @@ from snakejax.core.fast_math import sine_cosine
 from snakejax.core.parameter import Scalar, param
 from snakejax.dynamics.constraints import AbstractConstraint, NonSlipping, Slipping
 from snakejax.dynamics.inputs import Input
-from snakejax.dynamics.vehicle import AbstractVehicle, Angles, Body, Placement, Stroke, Wheelset
+from snakejax.dynamics.vehicle import AbstractVehicle, Angles, Body, Placement, Stroke, Wheelset, wheels_across
 
 
 class RollerRacer(AbstractVehicle):
@@ -81,8 +81,15 @@ class RollerRacer(AbstractVehicle):
 
     def outline(self) -> tuple[Stroke, ...]:
         """Seat and handlebar as bars."""
-        seat = Stroke(((-float(self.rear), 0.0), (float(self.pivot), 0.0)))
-        return seat, Stroke(((0.0, 0.0), (float(self.front), 0.0)), "handle")
+        pivot = float(self.pivot)
+        seat = Stroke(((-float(self.rear), 0.0), (pivot, 0.0)))
+        return seat, Stroke(((0.0, 0.0), (float(self.front), 0.0)), "handle", (pivot, 0.0))
+
+    def wheel_outline(self, wheelset: Wheelset) -> tuple[Stroke, ...]:
+        """An axle with two wheels."""
+        del wheelset
+        half = 0.3 * float(self.length)
+        return Stroke(((0.0, -half), (0.0, half))), *wheels_across(float(self.length), half)
 
 
 ROLLER_RACER = dict(seat_mass=1.0, inertia=1.0, handle_mass=0.0, handle_inertia=1.0, pivot=1.0, front=0.5)

@@ -38,17 +38,18 @@ class RunReplay(NamedTuple):
     """One run as recorded and as simulated.
 
     `track`, the residual. `measured` (n, 3), the recorded x [m], y [m] and heading [rad], NaN where lost; `pose` (n,
-    3), the modelled ones. Of each of W wheelsets, (n, W): `steered` [rad], how it stands to the board, positive to
-    the left; `slip_speed` [m/s]; `slip` [rad], its slip angle; `force` [N], the traction against it. `rotor` (n,)
-    [rad], zero without one. `skid_angle` (n,) [rad], the heading less the angle of the frame that forces are counted
-    in (beta of `Coupled`). `states`: the state of the model at every sample, as `Model.rates` takes it.
+    3), the modelled ones. Of each of W wheelsets: `wheels` (n, W, 3), its place x, y [m] and its angle [rad], positive
+    to the left, in the base frame; (n, W): `slip_speed` [m/s]; `slip` [rad], its slip angle; `force` [N], the traction
+    against it. `joints`: the angle (n,) [rad] of each joint by name. `skid_angle` (n,) [rad], the heading less the
+    angle of the frame that forces are counted in (beta of `Coupled`). `states`: the state of the model at every sample,
+    as `Model.rates` takes it.
     """
 
     track: ResidualSeries
     measured: Float[np.ndarray, "n 3"]
     pose: Float[np.ndarray, "n 3"]
-    steered: Float[np.ndarray, "n W"]
-    rotor: Float[np.ndarray, " n"]
+    wheels: Float[np.ndarray, "n W 3"]
+    joints: dict[str, Float[np.ndarray, " n"]]
     slip_speed: Float[np.ndarray, "n W"]
     slip: Float[np.ndarray, "n W"]
     force: Float[np.ndarray, "n W"]
@@ -109,14 +110,25 @@ def _dressed(run: Run, played: Any, residual: np.ndarray, sd: np.ndarray, board:
         track,
         np.where(np.isfinite(np.asarray(run.pose)).all(axis=1, keepdims=True), np.asarray(run.pose), np.nan),
         pose,
-        np.stack([wheel.joint.angle for wheel in wheels], axis=1),
-        motion.inputs["psi"].angle if "psi" in motion.inputs else np.zeros(n),
+        _placed(board, motion),
+        {name: joint.angle for name, joint in motion.inputs.items()},
         speed,
         np.asarray(slip_angle(speed, rolling, board.creep_speed)),
         np.stack(force, axis=1),
         motion.heading - motion.theta,
         states,
     )
+
+
+def _placed(vehicle: AbstractVehicle, motion: Motion) -> Float[np.ndarray, "n W 3"]:
+    """Place and angle of each wheelset in the base frame."""
+    angles = {name: joint.angle for name, joint in motion.inputs.items()}
+    placed = []
+    for wheelset, wheel in zip(vehicle.wheelsets, motion.wheels, strict=True):
+        x, y, angle = vehicle.placement(wheelset, angles)
+        parts = np.broadcast_arrays(x, y, np.asarray(angle) + np.asarray(wheel.joint.angle))
+        placed.append(np.stack(parts, axis=1))
+    return np.stack(placed, axis=1)
 
 
 @eqx.filter_jit

@@ -13,14 +13,17 @@
 | `sweep` | k_s against a parameter with its polynomial, or maps over two |
 | `tuned` | a gait before and after tuning: path, joints within their limits, spread over samples |
 | `designed` | a run designed to distinguish two effects, or to determine the tyre |
-| `animate` | the moving board, as GIF or MP4 |
+| `vehicle` | the vehicle at one time, measured and modelled |
+| `snapshots` | a path with the vehicle at some times |
+| `animate` | the moving vehicle, as GIF or MP4 |
 
 The measurement is grey, the base model blue; each step has one colour and dash in every figure.
 """
 
 from .animation import animate as animate
-from .animation import board as board
 from .animation import require_film as require_film
+from .animation import snapshots as snapshots
+from .animation import vehicle as vehicle
 from .candidates import confusability as confusability
 from .candidates import ranking as ranking
 from .design import designed as designed

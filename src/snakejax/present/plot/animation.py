@@ -1,6 +1,7 @@
-"""The board as it moves: one picture of it, and films."""
+"""The vehicle as it moves: one picture of it, and films."""
 
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,8 @@ from matplotlib.lines import Line2D
 
 from snakejax.core.errors import InputError
 from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
-from snakejax.dynamics.vehicle import AbstractVehicle
+from snakejax.diagnosis.residuals.replays import RunReplay
+from snakejax.dynamics.vehicle import AbstractVehicle, Stroke
 
 from ..style import MATPLOTLIB, MEASURED
 from ..views import ModelView
@@ -18,107 +20,134 @@ from .paths import path, titled
 
 RATE = 20.0
 """Pictures a second."""
-WHEEL, TRACK, ROTOR, SKID = 0.18, 0.3, 0.25, 1.2
-"""Half the length of a wheel, half the width of a wheelset, the rotor's radius, the longest skid; in half lengths."""
+SKID = 1.2
+"""The longest bar of a slip speed, in lengths of the vehicle."""
 KINDS = ("gif", "mp4")
 
 
 class _Drawn:
-    """A board in a figure, to be put where it is."""
+    """A vehicle in a figure, to be put where it is."""
 
-    def __init__(self, axis: Axes, colour: str, width: float, alpha: float, places: list[float], half: float) -> None:
-        self.half, self.places = half, places
+    def __init__(self, axis: Axes, colour: str, width: float, alpha: float, vehicle: AbstractVehicle) -> None:
+        def drawn(stroke: Stroke, times: float = 1.0) -> tuple[Stroke, Line2D]:
+            return stroke, axis.add_line(
+                Line2D([], [], color=colour, lw=width * times, alpha=alpha, solid_capstyle="round")
+            )
 
-        def stroke(times: float = 1.0, **more) -> Line2D:
-            drawn_line = Line2D([], [], color=colour, lw=width * times, alpha=alpha, solid_capstyle="round", **more)
-            return axis.add_line(drawn_line)
+        self.body = [drawn(stroke) for stroke in vehicle.outline()]
+        self.wheels = [[drawn(stroke, 1.7) for stroke in vehicle.wheel_outline(w)] for w in vehicle.wheelsets]
+        self.skids = [drawn(Stroke(()), 3.0)[1] for _ in vehicle.wheelsets]
+        for skid in self.skids:
+            skid.set_alpha(0.45 * alpha)
 
-        self.body, self.rotor, self.spoke = stroke(), stroke(), stroke()
-        self.axles = [stroke() for _ in places]
-        self.wheels = [[stroke(2.0), stroke(2.0)] for _ in places]
-        self.skids = [stroke(3.0) for _ in places]
-        for constraint in self.skids:
-            constraint.set_alpha(0.45 * alpha)
+    def put(self, scene: RunReplay, k: int, pose: np.ndarray, skid: np.ndarray) -> None:
+        """Place it at `pose` with the joints and wheels of sample `k`; NaN hides it.
 
-    def put(self, pose: np.ndarray, steered: np.ndarray, rotor: float, constraint: np.ndarray) -> None:
-        """Place it; `constraint` is the signed length of the bar at each wheelset, in half lengths. NaN hides it."""
+        `skid` (W,): the signed length of the bar at each wheelset [m].
+        """
         x, y, heading = pose
-        place, ahead = complex(x, y), np.exp(1j * heading)
-        L = self.half
+        base = complex(x, y), np.exp(1j * heading)
 
-        def draw(line: Line2D, points: np.ndarray, origin: complex = 0.0, turned: complex = 1.0) -> None:
-            world = place + ahead * L * (origin + turned * points)
+        def draw(line: Line2D, points: np.ndarray, origin: complex, angle: float) -> None:
+            world = base[0] + base[1] * (origin + points * np.exp(1j * angle))
             line.set_data(world.real, world.imag)
 
-        draw(self.body, np.array([-1.0, 1.0, 1.0 - 0.12j, 1.25, 1.0 + 0.12j, 1.0]))
-        draw(self.rotor, ROTOR * np.exp(1j * np.linspace(0.0, 2 * np.pi, 25)))
-        draw(self.spoke, np.array([0.0, ROTOR]), turned=np.exp(1j * rotor))
-        for k, at in enumerate(self.places):
-            turned = np.exp(1j * steered[k])
-            draw(self.axles[k], np.array([-1j, 1j]) * TRACK, at, turned)
-            for wheel, side in zip(self.wheels[k], (-1j, 1j), strict=True):
-                draw(wheel, np.array([-WHEEL, WHEEL]) + side * TRACK, at, turned)
-            draw(self.skids[k], np.array([0.0, 1j * constraint[k]]), at, turned)
+        for stroke, line in self.body:
+            angle = 0.0 if stroke.part == "base" else float(scene.joints[stroke.part][k])
+            draw(line, _complex(stroke.points), complex(*stroke.pivot), angle)
+        for wheel, bar, length, place in zip(self.wheels, self.skids, skid, scene.wheels[k], strict=True):
+            origin, angle = complex(*place[:2]), float(place[2])
+            for stroke, line in wheel:
+                draw(line, _complex(stroke.points), origin, angle)
+            draw(bar, np.array([0.0, 1j * length]), origin, angle)
+
+
+def _reach(stroke: Stroke) -> float:
+    return float(np.abs(_complex(stroke.points)).max())
+
+
+def _complex(points: Sequence[tuple[float, float]]) -> np.ndarray:
+    return np.array([complex(*point) for point in points])
 
 
 class _Film:
     """One run as a figure whose picture can be set."""
 
-    def __init__(self, model: ModelView, board: AbstractVehicle, run: str | None) -> None:
+    def __init__(self, model: ModelView, vehicle: AbstractVehicle, run: str | None) -> None:
         names = [scene.run for scene in model.scenes]
         if run is not None and run not in names:
             raise ValueError(f"There is no run `{run}`: take one of {', '.join(names)}.")
         self.scene = scene = model.scenes[0 if run is None else names.index(run)]
         self.figure = Figure(figsize=(6.4, 5.2), layout="constrained", dpi=100)
-        axis = self.figure.subplots()
-        half, places = float(board.length), [float(w.place) for w in board.wheelsets]
+        self.axis = axis = self.figure.subplots()
+        self.of, self.colour, half = vehicle, model.look.colour, float(vehicle.length)
         path(axis, scene.measured, MEASURED._replace(colour="#c0c0c0"), "measured", wide=True)
         self.trail = axis.plot([], [], color=model.look.colour, ls=MATPLOTLIB[model.look.dash], lw=1.2)[0]
-        self.ghost = _Drawn(axis, MEASURED.colour, 2.5, 0.5, places, half)
-        self.board = _Drawn(axis, model.look.colour, 1.4, 1.0, places, half)
+        self.ghost = _Drawn(axis, MEASURED.colour, 2.5, 0.5, vehicle)
+        self.vehicle = _Drawn(axis, model.look.colour, 1.4, 1.0, vehicle)
         both = np.concatenate([scene.measured[:, :2], scene.pose[:, :2]])
-        low, high = np.nanmin(both, axis=0) - 1.5 * half, np.nanmax(both, axis=0) + 1.5 * half
+        room = 1.2 * max(half, *(abs(complex(*stroke.pivot)) + _reach(stroke) for stroke in vehicle.outline()))
+        low, high = np.nanmin(both, axis=0) - room, np.nanmax(both, axis=0) + room
         axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]")
         axis.set_aspect("equal", adjustable="box")
         axis.set_title(titled(scene.run, scene.role), loc="left", fontsize="medium")
         self.clock = axis.set_title("", loc="right", fontsize="medium")
-        self.constraint = SKID / max(float(np.abs(scene.slip_speed).max()), 1e-9)
+        self.skid = SKID * half / max(float(np.abs(scene.slip_speed).max()), 1e-9)
         # Laid out once: every picture has the same axes.
         self.clock.set_text("0.00 s")
         self.figure.draw_without_rendering()
         self.figure.set_layout_engine("none")
 
+    def stamp(self, k: int) -> None:
+        """Leave the vehicle of sample `k` in the picture."""
+        drawn = _Drawn(self.axis, self.colour, 1.0, 0.6, self.of)
+        drawn.put(self.scene, k, self.scene.pose[k], np.zeros(self.scene.slip_speed.shape[1]))
+
     def show(self, k: int) -> None:
         """The picture of sample `k`."""
         scene = self.scene
         still = np.zeros(scene.slip_speed.shape[1])
-        self.ghost.put(scene.measured[k], scene.steered[k], scene.rotor[k], still)
-        self.board.put(scene.pose[k], scene.steered[k], scene.rotor[k], self.constraint * scene.slip_speed[k])
+        self.ghost.put(scene, k, scene.measured[k], still)
+        self.vehicle.put(scene, k, scene.pose[k], self.skid * scene.slip_speed[k])
         self.trail.set_data(scene.pose[: k + 1, 0], scene.pose[: k + 1, 1])
         self.clock.set_text(f"{scene.times[k]:.2f} s")
 
 
-def board(model: ModelView, board: AbstractVehicle, run: str | None = None, time: float = 0.0) -> Figure:
-    """One picture of a run at `time` [s]: the board as measured, grey, and as the model has it.
+def vehicle(model: ModelView, of: AbstractVehicle, run: str | None = None, time: float = 0.0) -> Figure:
+    """One picture of a run at `time` [s]: the vehicle as measured, grey, and as the model has it.
 
     **Arguments:** `run`, the name of a run, by default the first. **Raises:** `ValueError` where there is none.
     """
-    film = _Film(model, board, run)
+    film = _Film(model, of, run)
     film.show(int(np.argmin(np.abs(film.scene.times - time))))
+    return film.figure
+
+
+def snapshots(model: ModelView, of: AbstractVehicle, run: str | None = None, count: int = 7) -> Figure:
+    """The path of a run, and the vehicle on it at `count` times, evenly spread.
+
+    **Arguments:** `run`, the name of a run, by default the first. **Raises:** `ValueError` where there is none.
+    """
+    film = _Film(model, of, run)
+    last = film.scene.times.size - 1
+    film.show(last)
+    for k in np.linspace(0, last, count)[:-1].round().astype(int):
+        film.stamp(int(k))
+    film.clock.set_text(f"every {(film.scene.times[-1] - film.scene.times[0]) / (count - 1):.2g} s")
     return film.figure
 
 
 def animate(
     model: ModelView,
-    board: AbstractVehicle,
+    vehicle: AbstractVehicle,
     file: Path | str,
     run: str | None = None,
     progress: Progress = no_progress,
 ) -> Path:
     """Write a film of a run to `file`, whose ending says what it is: .gif, or .mp4 where ffmpeg is there.
 
-    The board as it was measured is grey, as the model has it in colour, with its rotor and wheelsets; a bar at a
-    wheelset is its slip speed. It plays as fast as it was.
+    The vehicle as it was measured is grey, as the model has it in colour, with its joints and wheels; a bar at a wheel
+    is its slip speed. It plays as fast as it was.
 
     **Arguments:** `run`, the name of a run, by default the first; `progress` counts the pictures.
     **Raises:** `InputError` for another ending, where ffmpeg is not there, or where the file cannot be written.
@@ -128,7 +157,7 @@ def animate(
     file = Path(file)
     kind = file.suffix.removeprefix(".").lower()
     require_film(kind, str(file))
-    film = _Film(model, board, run)
+    film = _Film(model, vehicle, run)
     times = film.scene.times
     stride = max(round((times.size - 1) / (RATE * float(times[-1] - times[0]))), 1)
     # A GIF counts in hundredths of a second, and its writer rounds down.

@@ -23,8 +23,8 @@ def paths(models: Sequence[ModelView]) -> Section:
 def moving() -> Section:
     """The player."""
     text = (
-        "The measured board, grey, and the modelled board. A bar across a wheelset is its slip speed; the circle is the"
-        " rotor. The slider can be moved by keyboard too."
+        "The measured vehicle, grey, and the modelled one. A bar across a wheel is its slip speed; the circle of a"
+        " snakeboard is its rotor. The slider can be moved by keyboard too."
     )
     return Section("motion", "The motion", (text,), player=True)
 

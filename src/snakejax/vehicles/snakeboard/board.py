@@ -1,5 +1,6 @@
 """Snakeboard: masses, inertias, positions of the wheelsets, and possible constraints of the wheels."""
 
+import math
 from collections.abc import Mapping
 from typing import ClassVar, Self
 
@@ -9,7 +10,7 @@ from snakejax.core.parameter import Scalar, param
 from snakejax.dynamics.constraints import AbstractConstraint
 from snakejax.dynamics.inputs import Gait, Input
 from snakejax.dynamics.signals import AbstractSignal, Joint
-from snakejax.dynamics.vehicle import AbstractVehicle, Angles, Body, Joints, Placement, Stroke, Wheelset
+from snakejax.dynamics.vehicle import AbstractVehicle, Angles, Body, Joints, Placement, Stroke, Wheelset, wheels_across
 
 from .closed_form import NonSlippingBoard, SlippingBoard
 from .paper_constraints import Coupled, Printed
@@ -93,9 +94,18 @@ class Board(AbstractVehicle):
         return eqx.tree_at(lambda b: b.offset, self, self.offset + ahead)
 
     def outline(self) -> tuple[Stroke, ...]:
-        """The deck, in m."""
-        half = float(self.half_length)
-        return (Stroke(((-half, 0.0), (half, 0.0))),)
+        """The deck with an arrow at its nose, and the rotor as a disc with a spoke."""
+        L = float(self.half_length)
+        angles = [2 * math.pi * k / 24 for k in range(25)]
+        disc = tuple((0.25 * L * math.cos(angle), 0.25 * L * math.sin(angle)) for angle in angles)
+        nose = ((-L, 0.0), (L, 0.0), (L, -0.12 * L), (1.25 * L, 0.0), (L, 0.12 * L), (L, 0.0))
+        return Stroke(nose), Stroke(disc, "psi"), Stroke(((0.0, 0.0), (0.25 * L, 0.0)), "psi")
+
+    def wheel_outline(self, wheelset: Wheelset) -> tuple[Stroke, ...]:
+        """An axle with two wheels."""
+        del wheelset
+        half = 0.3 * float(self.half_length)
+        return Stroke(((0.0, -half), (0.0, half))), *wheels_across(float(self.half_length), half)
 
     def arm(self, wheelset: Wheelset) -> Scalar:
         """Distance [m] of a wheelset ahead of the centre of mass."""

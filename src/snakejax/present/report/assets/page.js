@@ -97,7 +97,7 @@
   download.href = URL.createObjectURL(new Blob([document.getElementById("result").textContent],
     { type: "application/json" }));
 
-  // The moving board.
+  // The moving vehicle.
   if (movie) {
     const get = (id) => document.getElementById(id), svg = get("scene"), slider = get("time");
     const make = (tag, attributes, parent) => {
@@ -107,28 +107,22 @@
       return made;
     };
     let parts = null, playing = false, begun = 0, from = 0;
-    const L = movie.half_length, line = { fill: "none", "vector-effect": "non-scaling-stroke" };
-    const board = (colour, width, parent) => {
+    const L = movie.length, line = { fill: "none", "vector-effect": "non-scaling-stroke" };
+    const path = ({ points }) => points.map(([x, y], i) => `${i ? "L" : "M"}${x} ${y}`).join("");
+    const vehicle = (colour, width, parent) => {
       const stroke = { ...line, stroke: colour, "stroke-width": width };
       const group = make("g", {}, parent);
-      make("line", { x1: -L, y1: 0, x2: L, y2: 0, ...stroke }, group);
-      make("path", { d: `M ${L} ${-0.12 * L} L ${1.25 * L} 0 L ${L} ${0.12 * L}`, ...stroke }, group);
-      const wheels = movie.places.map((place) => {
+      const outline = movie.outline.map((one) => [one, make("path", { d: path(one), ...stroke }, group)]);
+      const wheels = movie.wheels.map((strokes) => {
         const wheel = make("g", {}, group);
-        for (const side of [-1, 1]) {
-          make("line", { x1: -0.18 * L, y1: side * 0.3 * L, x2: 0.18 * L, y2: side * 0.3 * L, ...stroke,
-            "stroke-width": 2 * width }, wheel);
-        }
-        make("line", { x1: 0, y1: -0.3 * L, x2: 0, y2: 0.3 * L, ...stroke }, wheel);
+        for (const one of strokes) make("path", { d: path(one), ...stroke, "stroke-width": 1.7 * width }, wheel);
         const skid = make("line", { x1: 0, y1: 0, x2: 0, y2: 0, ...stroke, "stroke-width": 5, opacity: 0.55,
           class: "skid" }, wheel);
-        return { wheel, skid, place };
+        return { wheel, skid };
       });
-      const rotor = make("g", {}, group);
-      make("circle", { r: 0.25 * L, ...stroke }, rotor);
-      make("line", { x1: 0, y1: 0, x2: 0.25 * L, y2: 0, ...stroke }, rotor);
-      return { group, wheels, rotor };
+      return { group, wheels, outline };
     };
+    const at = (values, k) => Array.isArray(values) ? values[k] : values;
     const degrees = (angle) => angle * 180 / Math.PI;
     const trail = (x, y, upto) => {
       let path = "", gap = true;
@@ -164,30 +158,34 @@
       parts = {
         seen: make("path", { ...line, stroke: movie.measured, "stroke-width": 2, opacity: 0.6 }, world),
         path: make("path", { ...line, stroke: model.colour, "stroke-width": 1.5 }, world),
-        ghost: board(movie.measured, 3, world),
-        board: board(model.colour, 1.6, world),
+        ghost: vehicle(movie.measured, 3, world),
+        vehicle: vehicle(model.colour, 1.6, world),
       };
       parts.ghost.group.setAttribute("opacity", 0.6);
       slider.max = run.t[run.t.length - 1];
       place();
     };
-    const put = (drawn, x, y, heading, steered, rotor, slip) => {
+    const put = (drawn, pose, model, k, skids) => {
+      const x = pose.x[k];
       drawn.group.style.display = x == null ? "none" : "";
       if (x == null) return;
-      drawn.group.setAttribute("transform", `translate(${x} ${y}) rotate(${degrees(heading)})`);
-      drawn.rotor.setAttribute("transform", `rotate(${degrees(rotor)})`);
-      drawn.wheels.forEach(({ wheel, skid, place }, i) => {
-        wheel.setAttribute("transform", `translate(${place * L} 0) rotate(${degrees(steered[i])})`);
-        skid.setAttribute("y2", slip ? slip[i] * movie.skid : 0);
+      drawn.group.setAttribute("transform", `translate(${x} ${pose.y[k]}) rotate(${degrees(pose.heading[k])})`);
+      for (const [{ part, pivot }, drawnPath] of drawn.outline) {
+        const angle = part === "base" ? 0 : at(model.joints[part], k);
+        drawnPath.setAttribute("transform", `translate(${pivot[0]} ${pivot[1]}) rotate(${degrees(angle)})`);
+      }
+      drawn.wheels.forEach(({ wheel, skid }, i) => {
+        const { x, y, angle } = model.wheels[i];
+        wheel.setAttribute("transform", `translate(${at(x, k)} ${at(y, k)}) rotate(${degrees(at(angle, k))})`);
+        skid.setAttribute("y2", skids ? model.slip[i][k] * movie.skid : 0);
       });
     };
     const place = () => {
       const { run, model } = chosen(), now = Number(slider.value);
       let k = run.t.findIndex((t) => t >= now - 1e-9);
       if (k < 0) k = run.t.length - 1;
-      const steered = model.steered.map((column) => column[k]), slip = model.slip.map((column) => column[k]);
-      put(parts.ghost, run.x[k], run.y[k], run.heading[k], steered, model.rotor[k], null);
-      put(parts.board, model.x[k], model.y[k], model.heading[k], steered, model.rotor[k], slip);
+      put(parts.ghost, run, model, k, false);
+      put(parts.vehicle, model, model, k, true);
       parts.seen.setAttribute("d", trail(run.x, run.y, k));
       parts.path.setAttribute("d", trail(model.x, model.y, k));
       const apart = run.x[k] == null ? "frame lost" :
