@@ -51,12 +51,27 @@ class Effect(Parametrised):
         return None
 
 
+def _nothing_to_move(model: "Model") -> str | None:
+    if not model.constraint.slips and not model.board.independent:
+        return "without slip the inputs alone prescribe the motion."
+    return None
+
+
+def _no_lateral_force(model: "Model") -> str | None:
+    if not model.constraint.slips:
+        return f"the wheels of this {model.board.noun} do not slip, so its tyres have no lateral force to change."
+    return None
+
+
 class Force(Effect):
     """Adds a wrench on the body."""
 
     @abc.abstractmethod
     def wrench(self, motion: Motion) -> Wrench:
         """(X, Y, N): force along and across the body [N] and yaw moment [N m]."""
+
+    def inapplicable_because(self, model: "Model") -> str | None:
+        return _nothing_to_move(model)
 
 
 class RollingForce(Effect):
@@ -66,6 +81,9 @@ class RollingForce(Effect):
     def resistance(self, wheel: Wheel, motion: Motion) -> Scalar:
         """T_i [N], positive against forward rolling."""
 
+    def inapplicable_because(self, model: "Model") -> str | None:
+        return _nothing_to_move(model)
+
 
 class LateralForce(Effect):
     """Changes the lateral force of each wheelset."""
@@ -74,6 +92,9 @@ class LateralForce(Effect):
     def lateral(self, force: Scalar, wheel: Wheel, motion: Motion) -> Scalar:
         """The changed F_i [N], positive against the slip."""
 
+    def inapplicable_because(self, model: "Model") -> str | None:
+        return _no_lateral_force(model)
+
 
 class TyreModifier(Effect):
     """Changes the tyre with the motion."""
@@ -81,6 +102,9 @@ class TyreModifier(Effect):
     @abc.abstractmethod
     def tyre(self, tyre: AbstractTyre, motion: Motion) -> AbstractTyre:
         """The tyre at this position, velocity and time."""
+
+    def inapplicable_because(self, model: "Model") -> str | None:
+        return _no_lateral_force(model)
 
 
 class TyreState(Effect):
@@ -93,6 +117,9 @@ class TyreState(Effect):
     @abc.abstractmethod
     def slip(self, memory: Scalar, slip: Scalar) -> Scalar:
         """The slip angle [rad] that determines the force of the tyre."""
+
+    def inapplicable_because(self, model: "Model") -> str | None:
+        return _no_lateral_force(model)
 
 
 class InputModifier(Effect):

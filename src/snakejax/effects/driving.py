@@ -25,12 +25,6 @@ def _not_driven(model: "Model") -> str | None:
     return None
 
 
-def _no_traction(model: "Model") -> str | None:
-    if not model.constraint.slips:
-        return "without slip there is no lateral force to change."
-    return None
-
-
 class SpeedResistance(RollingForce):
     """T_i = f_1 a_i + f_2 a_i |a_i|: resistance to rolling that grows with speed, half of it for each of two wheels."""
 
@@ -53,7 +47,7 @@ class DriveFriction(RollingForce):
         return self.f * jnp.tanh(wheel.rolling / SMOOTH_SPEED) / len(motion.wheels)
 
     def inapplicable_because(self, model: "Model") -> str | None:
-        return _not_driven(model)
+        return _not_driven(model) or super().inapplicable_because(model)
 
 
 class SteeringDrag(RollingForce):
@@ -66,6 +60,11 @@ class SteeringDrag(RollingForce):
         del motion
         size = jnp.sqrt(wheel.joint.angle**2 + SMOOTH_ANGLE**2) - SMOOTH_ANGLE
         return self.k * size * jnp.tanh(wheel.rolling / 0.15)
+
+    def inapplicable_because(self, model: "Model") -> str | None:
+        if not any(wheelset.steer or wheelset.steering for wheelset in model.board.wheelsets):
+            return f"no wheel of a {model.board.noun} is steered against the body that carries it."
+        return super().inapplicable_because(model)
 
 
 class LoadTransfer(LateralForce):
@@ -88,7 +87,7 @@ class LoadTransfer(LateralForce):
         return force * (1 + shift / motion.board.load(wheel.wheelset))
 
     def inapplicable_because(self, model: "Model") -> str | None:
-        return _not_driven(model) or _no_traction(model)
+        return _not_driven(model) or super().inapplicable_because(model)
 
 
 class CombinedSlip(LateralForce):
@@ -110,7 +109,7 @@ class CombinedSlip(LateralForce):
         return force * jnp.sqrt(jnp.maximum(1 - used, 1e-4))
 
     def inapplicable_because(self, model: "Model") -> str | None:
-        return _not_driven(model) or _no_traction(model)
+        return _not_driven(model) or super().inapplicable_because(model)
 
 
 class InertiaFactor(Geometry):
@@ -127,5 +126,5 @@ class InertiaFactor(Geometry):
         if getattr(model.board, "inertia", None) is None:
             return f"the inertia of this {model.board.noun} follows from its mass."
         if not model.constraint.slips and not model.board.independent:
-            return "the inputs alone prescribe the motion."
+            return "without slip the inputs alone prescribe the motion."
         return None

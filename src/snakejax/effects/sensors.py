@@ -1,10 +1,13 @@
 """Systematic errors of motion capture: marker offset, heading offset and clock offset."""
 
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from snakejax.core.fast_math import sine_cosine
 from snakejax.core.parameter import Scalar, param
 from snakejax.dynamics.ports import Delay, Sensor
+
+if TYPE_CHECKING:
+    from snakejax.dynamics.model import Model
 
 
 class MarkerOffset(Sensor):
@@ -54,3 +57,8 @@ class ClockOffset(Delay):
 
     def delay(self) -> Scalar:
         return self.T
+
+    def inapplicable_because(self, model: "Model") -> str | None:
+        if not model.board.inputs:
+            return f"a {model.board.noun} has no commands with which the cameras could disagree."
+        return None

@@ -14,16 +14,10 @@ if TYPE_CHECKING:
     from snakejax.dynamics.model import Model
 
 
-def _needs_traction(model: "Model") -> str | None:
-    if not model.constraint.slips:
-        return "the wheels of the ideal board do not slip, so its tyres have no lateral force to change."
-    return None
-
-
-def _needs_slip_angle(model: "Model") -> str | None:
+def _no_slip_angle(model: "Model") -> str | None:
     if isinstance(model.tyre.of_axle("front"), Rayleigh):
         return "the Rayleigh force depends on the slip speed, not on the slip angle."
-    return _needs_traction(model)
+    return None
 
 
 class GripSplit(LateralForce):
@@ -41,9 +35,6 @@ class GripSplit(LateralForce):
     def lateral(self, force: Scalar, wheel: Wheel, motion: Motion) -> Scalar:
         del motion
         return force * (1 + self.s) if wheel.wheelset.place > 0 else force * (1 - self.s)
-
-    def inapplicable_because(self, model: "Model") -> str | None:
-        return _needs_traction(model)
 
 
 class StribeckGrip(LateralForce):
@@ -63,9 +54,6 @@ class StribeckGrip(LateralForce):
         del motion
         return force * (1 + self.s * jnp.exp(-((wheel.lateral / self.speed) ** 2)))
 
-    def inapplicable_because(self, model: "Model") -> str | None:
-        return _needs_traction(model)
-
 
 class GripGradient(TyreModifier):
     """The friction of the ground changes along the x axis of the cameras; B stays.
@@ -80,9 +68,6 @@ class GripGradient(TyreModifier):
 
     def tyre(self, tyre: AbstractTyre, motion: Motion) -> AbstractTyre:
         return tyre.scaled(1 + self.g * motion.x)
-
-    def inapplicable_because(self, model: "Model") -> str | None:
-        return _needs_traction(model)
 
 
 class TyreOffset(TyreModifier):
@@ -107,7 +92,7 @@ class TyreOffset(TyreModifier):
         return eqx.tree_at(lambda p: (p.dSh, p.dSv), tyre, (tyre.dSh + self.dSh, tyre.dSv + self.dSv))
 
     def inapplicable_because(self, model: "Model") -> str | None:
-        return _needs_slip_angle(model)
+        return _no_slip_angle(model) or super().inapplicable_because(model)
 
 
 class TyreRelaxation(TyreState):
@@ -133,4 +118,4 @@ class TyreRelaxation(TyreState):
         return jnp.where(self.sigma > 0, memory, slip)
 
     def inapplicable_because(self, model: "Model") -> str | None:
-        return _needs_slip_angle(model)
+        return _no_slip_angle(model) or super().inapplicable_because(model)

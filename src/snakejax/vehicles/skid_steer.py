@@ -3,7 +3,6 @@
 from typing import ClassVar, Self
 
 import equinox as eqx
-import jax.numpy as jnp
 
 from snakejax.core.parameter import Scalar, param
 from snakejax.dynamics.constraints import AbstractConstraint, NonSlipping, Slipping
@@ -16,15 +15,18 @@ from snakejax.dynamics.vehicle import AbstractVehicle, Angles, Body, Joints, Pla
 class DifferentialDrive(NonSlipping):
     """Wheels that roll without slip on two circles `effective_track` apart (Mandow et al. 2007, symmetric).
 
-    u = (v_right + v_left) / 2    w = 0    r = (v_right - v_left) / effective_track
+    u = (v_right + v_left) / 2    w = offset r    r = (v_right - v_left) / effective_track
+
+    for the centre of mass, `offset` [m] ahead of the axis about which the robot turns.
     """
 
     def velocities(self, board: AbstractVehicle, free: Vector, phase: Phase, like: Scalar) -> Vector:
-        del free
+        del free, like
         left = next(rim for rim, wheel in zip(phase.rims, board.wheelsets, strict=True) if wheel.drive == "left")
         right = next(rim for rim, wheel in zip(phase.rims, board.wheelsets, strict=True) if wheel.drive == "right")
-        width = getattr(board, "effective_track")  # noqa: B009
-        return (left + right) / 2, jnp.zeros_like(like), (right - left) / width
+        width, ahead = getattr(board, "effective_track"), getattr(board, "offset")  # noqa: B009
+        rate = (right - left) / width
+        return (left + right) / 2, ahead * rate, rate
 
 
 class SkidSteer(AbstractVehicle):
