@@ -32,7 +32,8 @@ from snakejax.dynamics.vehicle import WHEEL
 from snakejax.estimation.replay import fitted_starts, replay
 from snakejax.present import plot
 from snakejax.present.plot.paths import titled
-from snakejax.present.style import BASE, COLOURS, DASHES, MEASURED, step_style
+from snakejax.present.report.page import STROKES
+from snakejax.present.style import BASE, COLOURS, DASHES, MATPLOTLIB, MEASURED, step_style
 from snakejax.present.views import ModelView, view_of_fit, view_of_model
 from snakejax.vehicles.car import Car
 
@@ -133,6 +134,22 @@ def test_every_step_has_a_look_that_no_other_has() -> None:
     assert len(set(looks)) == len(looks)
     assert not {BASE.colour, MEASURED.colour} & {one.colour for one in looks}
     assert step_style(0) == BASE
+
+
+def test_the_base_and_the_first_steps_differ_without_colour() -> None:
+    assert len({step_style(step).dash for step in range(len(DASHES) + 1)}) == len(DASHES) + 1
+    assert {step_style(step).dash for step in range(len(DASHES) + 1)} == set(MATPLOTLIB) == set(STROKES)
+
+
+@pytest.mark.parametrize("given", [True, False])
+def test_the_base_and_the_last_step_differ_in_the_figure_of_the_fall(given: bool) -> None:
+    """Whether the models are given or replayed by the figure itself."""
+    found = dataclasses.replace(story(), steps=story().steps[:2])
+    axis = plot.fall(found, models(found) if given else ()).axes[0]
+    lines = {line.get_label(): line for line in axis.lines}
+    base, last = lines["base model"], lines["+ ground_slope"]
+    assert base.get_linestyle() != last.get_linestyle()
+    assert base.get_color() != last.get_color()
 
 
 def test_a_gif_plays_the_run_as_fast_as_it_was(model, tmp_path) -> None:

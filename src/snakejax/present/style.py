@@ -1,14 +1,14 @@
 """One line style for the recording, the base model, and each step, in all figures and charts.
 
-The colours are those of Okabe and Ito, which colour-blind readers can distinguish; they suit dark and white pages. With
-more steps than colours the dash differs.
+The colours are those of Okabe and Ito, which colour-blind readers can distinguish; they suit dark and white pages. All
+are equally dark, so the dash tells one step from the next in grey print.
 """
 
 from typing import NamedTuple
 
 
 class LineStyle(NamedTuple):
-    """A colour, and a dash as both plotting libraries name it: "solid", "dash", "dot" or "dashdot"."""
+    """A colour, and a dash by its name in Plotly; `MATPLOTLIB` has the same dashes for Matplotlib."""
 
     colour: str
     dash: str
@@ -21,12 +21,20 @@ COLOURS = ("#d55e00", "#009e73", "#c060a0", "#b8860b", "#3aa0d8", "#7a5cc0", "#8
 FORCES = (LineStyle("#d55e00", "solid"), LineStyle("#2b7bba", "dash"), LineStyle("#009e73", "dot"))
 """X, Y and N of a force."""
 COMPONENTS = ("X [N]", "Y [N]", "N [N m]")
-DASHES = ("solid", "dashdot", "dot")
-MATPLOTLIB = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-."}
+DASHES = ("solid", "dashdot", "dot", "longdash", "longdashdot")
+"""Of the steps, none of them that of the base model; their number has no factor in common with that of `COLOURS`."""
+MATPLOTLIB = {
+    "solid": "-",
+    "dash": "--",
+    "dot": ":",
+    "dashdot": "-.",
+    "longdash": (0, (10, 3)),
+    "longdashdot": (0, (10, 3, 2, 3)),
+}
 
 
 def step_style(step: int) -> LineStyle:
     """The line style of the model after `step` steps; `BASE` for the base model."""
     if step == 0:
         return BASE
-    return LineStyle(COLOURS[(step - 1) % len(COLOURS)], DASHES[(step - 1) // len(COLOURS) % len(DASHES)])
+    return LineStyle(COLOURS[(step - 1) % len(COLOURS)], DASHES[(step - 1) % len(DASHES)])

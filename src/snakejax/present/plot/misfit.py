@@ -28,7 +28,7 @@ def fall(found: Explanation, models: Sequence[ModelView] = ()) -> Figure:
     figure = Figure(figsize=(4.5 + wide, 4.2), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(4.5, wide))
     ends = sorted({0, len(found.steps) - 1})
-    played = [models[k] if models else view_of_step(found.steps[k]) for k in ends]
+    played = [models[k] if models else view_of_step(found.steps[k], k) for k in ends]
     shown = next((k for k, scene in enumerate(played[0].scenes) if scene.role == "heldout"), 0)
     measured = played[0].scenes[shown].measured
     path(left, measured, MEASURED, "measured", wide=True)

@@ -13,7 +13,14 @@ from ..as_text.errors import times_noise_text
 from ..style import LineStyle
 from .chart import Chart
 
-STROKES = {"solid": "none", "dash": "7 3", "dot": "2 2", "dashdot": "7 2 2 2"}
+STROKES = {
+    "solid": "none",
+    "dash": "7 3",
+    "dot": "2 2",
+    "dashdot": "7 2 2 2",
+    "longdash": "11 3",
+    "longdashdot": "11 3 2 3",
+}
 """The dash of a line as SVG has it."""
 
 
