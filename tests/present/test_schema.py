@@ -161,6 +161,21 @@ def test_the_schema_is_one(command) -> None:
     Draft202012Validator.check_schema(schema_of(command))
 
 
+def test_no_key_is_described_twice() -> None:
+    """Not in the schema, where the last one would silently hold, and not in the pages."""
+
+    def once(members: list[tuple[str, Any]]) -> dict[str, Any]:
+        assert len(dict(members)) == len(members), [key for key, _ in members]
+        return dict(members)
+
+    schema = ROOT / "src" / "snakejax" / "present" / "as_json" / "schema.json"
+    json.loads(schema.read_text(encoding="utf-8"), object_pairs_hook=once)
+    page = (ROOT / "docs" / "json.md").read_text(encoding="utf-8")
+    for section in re.split(r"^## .*$", page, flags=re.MULTILINE):
+        rows = re.findall(r"^\| (`[^|]*`) \|", section, flags=re.MULTILINE)
+        assert len(set(rows)) == len(rows)
+
+
 def test_every_key_of_the_schema_is_documented() -> None:
     page = (ROOT / "docs" / "json.md").read_text(encoding="utf-8")
     tables = [line for line in page.splitlines() if line.startswith("|") or "`{" in line]
