@@ -1,6 +1,7 @@
 """Least squares over whole runs: residuals of many runs, their Jacobian, and the fit by Levenberg-Marquardt."""
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import equinox as eqx
@@ -15,6 +16,7 @@ from snakejax.simulation.integrate import Accuracy, simulate
 
 from .batch import Batch
 from .levenberg_marquardt import MOST_STEPS, StoppingRule, levenberg_marquardt
+from .many_runs import MANY, Ending, solve_many
 from .whitening import whitened
 
 REACH = 3.0
@@ -22,6 +24,8 @@ REACH = 3.0
 INVERSE_DAMPING = 30.0
 """The first step of a fit is damped by the norms of the columns of the Jacobian over this number: of a single variable
 it is 1 / (1 + 1 / 900) of the Gauss-Newton step."""
+THREADS = 2
+"""Threads that linearise many runs in parallel."""
 LANES = 8
 """Double precision numbers in one vector register (512 bits); 8 derivative directions cost as much as fewer."""
 
@@ -223,6 +227,54 @@ def _solve(model, at: Variables, batch: Batch, selection, inverse_damping, prior
     return ended, out, taken, settled
 
 
+_linearise = eqx.filter_jit(linearise)
+
+
+def _in_threads(model, at: Variables, batch: Batch, runs: list[int], accuracy, z, starts) -> Linearised:
+    """`linearise` of the `runs`, shared by `THREADS` threads."""
+
+    def share(part: list[int]) -> Linearised:
+        order, count = first(part, batch)
+        done = _linearise(model, at, batch, order, count, jnp.asarray(z), jnp.asarray(starts), accuracy)
+        return Linearised(*(np.asarray(leaf) for leaf in done))
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        shares = list(pool.map(share, [runs[k::THREADS] for k in range(THREADS)]))
+    return Linearised(*(sum(parts[1:], parts[0]) for parts in zip(*shares, strict=True)))
+
+
+def _solved_by_elimination(model, at: Variables, batch: Batch, runs: list[int], accuracy, settings, prior):
+    """What `_solve` returns, for many runs."""
+    free_start = np.asarray(batch.free_start)
+    width, R = at.directions.shape[0], len(free_start)
+    last: dict[str, tuple] = {}
+
+    def of_runs(z: np.ndarray, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        all_starts = np.zeros_like(free_start)
+        all_starts[runs] = starts
+        found = _in_threads(model, at, batch, runs, accuracy, z, all_starts)
+        last["found"] = (z.copy(), starts.copy(), found)
+        return np.asarray(found.residual)[runs], np.asarray(found.jacobian)[runs]
+
+    def robust(parts: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        if not np.isfinite(float(settings.threshold)):
+            return parts
+        r, J = _robust(*(jnp.asarray(part) for part in parts), settings.threshold)
+        return np.asarray(r), np.asarray(J)
+
+    samples = int((np.asarray(batch.weight)[runs] > 0).sum())
+    ending = Ending(float(settings.enough), float(settings.crawl), samples, int(settings.most))
+    solved = solve_many(of_runs, robust, free_start[runs], prior, ending)
+    if not (np.array_equal(last["found"][0], solved.z) and np.array_equal(last["found"][1], solved.starts)):
+        of_runs(solved.z, solved.starts)
+    moves = np.zeros((R, free_start.shape[1]))
+    moves[runs] = solved.starts
+    values = retract(domains_of(model, at.names), at, jnp.asarray(solved.z))
+    ended = eqx.tree_at(lambda u: (u.values, u.start), at, (values, at.start + at.free_start * jnp.asarray(moves)))
+    assert width == len(solved.z)
+    return ended, last["found"][2], solved.taken, solved.settled
+
+
 def solve(
     model: Model,
     at: Variables,
@@ -239,16 +291,20 @@ def solve(
     directions, at = at.directions, narrowed(at)
     width = at.directions.shape[0]
     prior = (np.zeros(width), np.zeros(width)) if prior is None else (prior[0][:width], prior[1][:width])
-    ended, linearised, steps, settled = _solve(
-        model,
-        at,
-        batch,
-        first(runs, batch),
-        _float64(INVERSE_DAMPING),
-        (jnp.asarray(prior[0]), jnp.asarray(prior[1])),
-        SolverSettings() if settings is None else settings,
-        accuracy,
-    )
+    settings = SolverSettings() if settings is None else settings
+    if len(runs) > MANY:
+        ended, linearised, steps, settled = _solved_by_elimination(model, at, batch, runs, accuracy, settings, prior)
+    else:
+        ended, linearised, steps, settled = _solve(
+            model,
+            at,
+            batch,
+            first(runs, batch),
+            _float64(INVERSE_DAMPING),
+            (jnp.asarray(prior[0]), jnp.asarray(prior[1])),
+            settings,
+            accuracy,
+        )
     linearised = widened(Linearised(*(np.asarray(part) for part in linearised)), len(directions) - width, width)
     return LeastSquaresResult(
         eqx.tree_at(lambda u: u.directions, ended, directions), linearised, int(steps), bool(settled)
@@ -282,4 +338,9 @@ def orthonormal_basis(columns: Float[np.ndarray, "N K"], smallest: float) -> Flo
 
 def evaluate(model: Model, at: Variables, batch: Batch, runs: list[int], accuracy: Accuracy) -> Linearised:
     """Residuals and Jacobian at `at`, by the same compiled program as `solve`."""
+    if len(runs) > MANY:
+        moved = narrowed(at)
+        kept = moved.directions.shape[0]
+        found = _in_threads(model, moved, batch, runs, accuracy, np.zeros(kept), np.zeros(batch.start.shape))
+        return widened(found, len(at.directions) - kept, kept)
     return solve(model, at, batch, runs, accuracy, SolverSettings(most=1)).linearised

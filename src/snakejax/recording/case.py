@@ -1,8 +1,11 @@
 """Cases: a folder with `case.toml` and the recordings that it names."""
 
+import dataclasses
 import hashlib
 import math
+import os
 from pathlib import Path
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,6 +21,8 @@ from snakejax.vehicles.snakeboard.board import Board
 
 from .annotations import ANNOTATION_KEYS, annotations_of
 from .case_inputs import (
+    Actuators,
+    RawInputs,
     built_inputs,
     input_keys,
     log_clock,
@@ -29,6 +34,7 @@ from .case_inputs import (
     require_trackable,
 )
 from .case_vehicle import read_vehicle
+from .file_runs import FILE_KEYS, Cut, cuts_of, files_of, recordings_of, require_differing, whole
 from .quality import with_log_clock
 from .readers import FEWEST_SAMPLES, PoseTrack, read_track
 from .run import Case, NeededAccuracy, Noise, Run
@@ -53,15 +59,26 @@ CORRELATION = "correlation_s"
 SEARCH_EXAMPLE = "[search] with criteria such as significance_level = 0.01"
 ACCURACY_KEYS = {"position_m": "m", "heading_rad": "rad", "horizon_s": "s"}
 PAYLOAD_KEYS = {"payload_kg": "kg", "payload_inertia_kgm2": "kg m^2"}
-RUN_KEYS = ("name", "role", "mocap", "object", *ANNOTATION_KEYS, "joint_log", "window_s", *PAYLOAD_KEYS, "start")
+RUN_KEYS = (
+    "name",
+    "role",
+    "group",
+    "mocap",
+    "object",
+    *ANNOTATION_KEYS,
+    "joint_log",
+    "window_s",
+    *PAYLOAD_KEYS,
+    "start",
+)
 """Keys of a run beside those of its inputs."""
 
 LOOSE_CLOCK = 0.5
 """A log whose clock is yet to be fitted may end so much [s] before the run."""
 
 
-def load_case(folder: Path | str) -> Case:
-    """The case in `folder`, as its `case.toml` says.
+def load_case(folder: Path | str, *, to_train: bool = True) -> Case:
+    """The case in `folder`, as its `case.toml` says; with `to_train`, at least one run must be to train on.
 
     **Raises:** `InputError` for anything in it that cannot be used, with file, line and remedy.
     """
@@ -79,13 +96,8 @@ def load_case(folder: Path | str) -> Case:
     noise = _noise(table.table("noise", "[noise] with position_m and heading_rad")) if "noise" in table.values else None
     actuators = read_actuators(table, vehicle)
     rows = table.tables("runs", f'[[runs]] with role = "train", mocap, object, {_asked(vehicle)}')
-    _require_runs(rows, vehicle)
-    raw = [read_inputs(row, folder, vehicle) for row in rows]
-    require_trackable(raw, rows, actuators)
-    gaits = built_inputs(raw, actuators, vehicle)
-    tracks = [_track(row, folder) for row in rows]
-    runs = tuple(_run(row, folder, track, gait, vehicle) for row, track, gait in zip(rows, tracks, gaits, strict=True))
-    reading = {run.name: tuple(track.notes) for run, track in zip(runs, tracks, strict=True) if track.notes}
+    _require_runs(rows, vehicle, to_train)
+    runs, recordings, reading = _runs(rows, folder, vehicle, actuators)
     title = table.text("title", 'title = "..."') if "title" in table.values else folder.resolve().name
     area = _area(table) if "area_m" in table.values else None
     sha256 = _sha256(folder, rows)
@@ -93,7 +105,80 @@ def load_case(folder: Path | str) -> Case:
     needed = _needed(table.table("accuracy", example)) if "accuracy" in table.values else None
     search = _search(table.table("search", SEARCH_EXAMPLE)) if "search" in table.values else {}
     name = folder.resolve().name
-    return Case(name, title, constraint, vehicle, runs, noise, sha256, area, reading, constant_sd, needed, search)
+    known = Case(name, title, constraint, vehicle, runs, noise, sha256, area, reading, constant_sd, needed, search)
+    return dataclasses.replace(known, recordings=recordings)
+
+
+def _runs(
+    rows: list[Table], folder: Path, vehicle: AbstractVehicle, actuators: Actuators
+) -> tuple[tuple[Run, ...], tuple[Run, ...], dict[str, tuple[str, ...]]]:
+    """The runs, the whole recordings, and what reading the files decided."""
+    pieces: list[_Piece] = []
+    reading: dict[str, tuple[str, ...]] = {}
+    for row in rows:
+        if "files" in row.values:
+            new, notes = _of_files(row, folder, vehicle)
+        else:
+            track = _track(row, folder)
+            new = [_Piece(row, read_inputs(row, folder, vehicle), None, track)]
+            notes = {_name(row): tuple(track.notes)} if track.notes else {}
+        pieces += new
+        reading |= notes
+    require_trackable([p.inputs for p in pieces], [p.row for p in pieces], actuators)
+    gaits = built_inputs([p.inputs for p in pieces], actuators, vehicle)
+    made = [_made(piece, folder, gait, vehicle) for piece, gait in zip(pieces, gaits, strict=True)]
+    runs = tuple(run for run, piece in zip(made, pieces, strict=True) if piece.used)
+    recordings = tuple(run for run, piece in zip(made, pieces, strict=True) if piece.whole)
+    require_differing([run.name for run in runs], rows[0])
+    return runs, recordings, reading
+
+
+class _Piece(NamedTuple):
+    """What becomes a run: a `cut` of a file, or a `track` of its own; whether it is `used` in fits, and a `whole`
+    recording."""
+
+    row: Table
+    inputs: RawInputs
+    cut: Cut | None
+    track: PoseTrack | None
+    used: bool = True
+    whole: bool = True
+
+
+def _of_files(row: Table, folder: Path, vehicle: AbstractVehicle) -> tuple[list[_Piece], dict[str, tuple[str, ...]]]:
+    """The windows of all files of a row and the whole of each, and what reading them found."""
+    pieces, reading = [], {}
+    for recorded in recordings_of(row, folder, vehicle):
+        cuts, entire = cuts_of(row, recorded), whole(recorded)
+        alone = len(cuts) == 1 and cuts[0].name == entire.name
+        pieces += [_Piece(row, cut.inputs, cut, None, whole=alone) for cut in cuts]
+        if not alone:
+            pieces.append(_Piece(row, entire.inputs, entire, None, used=False))
+        if recorded.notes:
+            reading[recorded.name] = recorded.notes
+    if not any(piece.used for piece in pieces):
+        raise row.error("files", "leaves no window in which the vehicle moves", "shorten windows, or leave them out")
+    return pieces, reading
+
+
+def _made(piece: _Piece, folder: Path, gait: AbstractInputs, vehicle: AbstractVehicle) -> Run:
+    """The run of a piece, with its group."""
+    row, group = piece.row, None
+    if "group" in row.values:
+        group = row.text("group", 'group = "circles"')
+    if piece.cut is None:
+        assert piece.track is not None
+        return dataclasses.replace(_run(row, folder, piece.track, gait, vehicle), group=group)
+    cut = piece.cut
+    times, pose, payload = (jnp.asarray(part, jnp.float64) for part in (cut.times, cut.pose, _payload(row)))
+    source = cut.name.split("@")[0]
+    run = Run(cut.name, row.values["role"], times, pose, gait, payload, True, group=group)
+    return run if source == cut.name else dataclasses.replace(run, cut_from=source)
+
+
+def _payload(row: Table) -> list[float]:
+    domains = {key: Domain(unit, 0.0, math.inf, False, False) for key, unit in PAYLOAD_KEYS.items()}
+    return [row.number(key, domain) if key in row.values else 0.0 for key, domain in domains.items()]
 
 
 def _case_file(folder: Path) -> Path:
@@ -150,18 +235,27 @@ def _asked(vehicle: AbstractVehicle) -> str:
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
-def _require_runs(rows: list[Table], vehicle: AbstractVehicle) -> None:
-    """**Raises:** `InputError` unless the keys and roles are known, the names differ, and one run is to train on."""
+def _require_runs(rows: list[Table], vehicle: AbstractVehicle, to_train: bool) -> None:
+    """**Raises:** `InputError` unless the keys and roles are known, the names differ, and, where there is something
+    `to_train`, one run is to train on."""
     names: dict[str, str] = {}
     for row in rows:
-        row.require_known((*RUN_KEYS, *input_keys(vehicle)))
+        row.require_known((*RUN_KEYS, *FILE_KEYS, *input_keys(vehicle)))
         row.choice("role", ROLES)
+        if "files" in row.values:
+            for key in ("mocap", "name", "joint_log", "window_s", "start"):
+                if key in row.values:
+                    raise row.error(key, "stands beside files", "give it in rows with mocap only")
+            continue
+        for key in FILE_KEYS:
+            if key in row.values:
+                raise row.error(key, "stands without files", 'write files = "pattern" in place of mocap')
         stem = _name(row)
         if stem in names:
             what = f'has the stem "{stem}", as has {names[stem]}: a stem names its run'
             raise row.error("mocap", what, "rename one of the files")
         names[stem] = row.label
-    if all(row.values["role"] != "train" for row in rows):
+    if to_train and all(row.values["role"] != "train" for row in rows):
         raise rows[0].error("role", 'is "heldout", as in all the runs: no run is to train on', 'write role = "train"')
 
 
@@ -181,9 +275,7 @@ def _run(row: Table, folder: Path, track: PoseTrack, gait: AbstractInputs, vehic
     times, pose = track.times, track.pose
     if "window_s" in row.values:
         times, pose = _windowed(row, times, pose, 0.5 / track.rate, moving)
-    domains = {key: Domain(unit, 0.0, math.inf, False, False) for key, unit in PAYLOAD_KEYS.items()}
-    payload = [row.number(key, domain) if key in row.values else 0.0 for key, domain in domains.items()]
-    times, pose, payload = (jnp.asarray(part, jnp.float64) for part in (times, pose, payload))
+    times, pose, payload = (jnp.asarray(part, jnp.float64) for part in (times, pose, _payload(row)))
     run = Run(_name(row), row.values["role"], times, pose, gait, payload, moving)
     if "joint_log" not in row.values:
         return run
@@ -228,7 +320,8 @@ def _require_covered(row: Table, folder: Path, run: Run, log_times: np.ndarray, 
 
 def _sha256(folder: Path, rows: list[Table]) -> dict[str, str]:
     logs = [row.values["joint_log"]["file"] for row in rows if "joint_log" in row.values]
-    names = ["case.toml", *(row.values["mocap"] for row in rows), *logs]
+    files = [str(os.path.relpath(p, folder)) for row in rows if "files" in row.values for p in files_of(row, folder)]
+    names = ["case.toml", *(row.values["mocap"] for row in rows if "mocap" in row.values), *files, *logs]
     return {name: _digest(folder / name) for name in names}
 
 

@@ -60,6 +60,7 @@ role = "train"
 mocap = "train-1.csv"               # Vicon CSV, C3D, TRC, Motive CSV, Qualisys TSV, a ROS bag, CSV or Parquet
 object = "board:board"              # its name in the file, in Vicon's subject:segment
 # name = "first-lap"                # of the run; left out: the file's stem
+# group = "circles"                 # `snakejax predict` tells its errors for each group; left out: the role
 # What some files do not say; leave out what yours does. Of a plain table, the columns, in SI units or those given:
 # columns = {time = "t", x = "pos x", y = "pos y", heading = "yaw"}
 # units = {length = "mm", angle = "deg", time = "ms"}
@@ -82,6 +83,7 @@ psi = "?"                           # rotor, as [[1.57, 4.0, 0.0]]
 # payload_kg = 2.0                  # extra mass at the centre of mass in this run
 # payload_inertia_kgm2 = 0.01       # and its yaw inertia
 # start = "rest"                    # or "moving": already under way at the first sample used
+# In place of mocap, whole tables that hold poses and inputs: files = "day1_*.csv" (see `snakejax new --vehicle car`).
 
 [[runs]]
 role = "heldout"

@@ -39,7 +39,7 @@ class Run(eqx.Module):
     A run that is `moving` was already under way at its first sample `times[0]`; any other starts at rest at time 0.
     `log`, where its joints were logged, is how the log's clock goes; the gait is on the cameras' already. `wander`
     (n, 3, q): where that log has noise, the model's pose is off by wander z with z standard normal, in m and rad.
-    A window of a longer run is `cut_from` the run of that name.
+    A window of a longer run is `cut_from` the run of that name. Errors of predictions are told for each `group`.
     """
 
     name: str = eqx.field(static=True)
@@ -52,6 +52,7 @@ class Run(eqx.Module):
     log: LogClock | None = eqx.field(static=True, default=None)
     wander: Float[Array, "n 3 q"] | None = None
     cut_from: str | None = eqx.field(static=True, default=None)
+    group: str | None = eqx.field(static=True, default=None)
 
     @property
     def recorded_as(self) -> str:
@@ -88,7 +89,8 @@ class Case(eqx.Module):
     """A board and its recorded runs, as a case folder describes them; the `area` from (x, y) to (x, y) [m] in which it
     was recorded, where that is stated; by run, what `reading` its file decided that the file does not say;
     `constant_sd`: standard deviations of constants of the board [SI] by field name, where they are stated; `needed`:
-    the accuracy that a simulation must have, where it is stated; `search`: criteria of the search for effects, by name.
+    the accuracy that a simulation must have, where it is stated; `search`: criteria of the search for effects, by name;
+    `recordings`: the whole recordings of which the runs are, or are windows.
     """
 
     name: str = eqx.field(static=True)
@@ -103,6 +105,7 @@ class Case(eqx.Module):
     constant_sd: dict[str, float] = eqx.field(static=True, default_factory=dict)
     needed: NeededAccuracy | None = eqx.field(static=True, default=None)
     search: dict[str, float] = eqx.field(static=True, default_factory=dict)
+    recordings: tuple[Run, ...] = ()
 
     def having(self, role: str) -> tuple[Run, ...]:
         """The runs of `role` "train" or "heldout"."""

@@ -24,6 +24,14 @@ _MORE = """\
 # joint_log = {{file = "inputs.csv", kind = "commanded", hold = true}}
 # start = "moving"                  # under way at the first sample: its velocities are estimated then
 # window_s = [0.5, 8.0]             # use these seconds only; name = "..." tells two windows of one file apart
+# In place of mocap, all tables of a pattern, each a long recording with its inputs in further columns. It is cut into
+# windows at gaps, at most so many of a file, chosen so that slow and fast, steady and varying ones are among them:
+# files = "day1_*.csv"              # or a list of patterns
+# group = "circles"                 # `snakejax predict` tells its errors for each group; left out: the role
+# windows = {{length_s = 1.5, most = 20, rate_hz = 20.0}}
+# inputs = {{{mapped}, stamp = "clock of the sender", enable = "safety"}}
+# kind = "commanded"                # held until the next message; or "measured"
+# each = "window"                   # a column: the rows with one value in it are one run
 """
 
 
@@ -69,7 +77,8 @@ def _run(role: str, inputs: tuple[Input, ...]) -> str:
         rows.append(f"{terms}# {one.label} ({_FORMS[one.kind]}): [[a, w, p], ...], a sin(w t + p) summed")
     text = _RUN.format(role=role, inputs="\n".join(rows))
     columns = ", ".join(["time_s", *(one.name for one in inputs)])
-    return text + (_MORE.format(columns=columns) if role == "train" else "")
+    mapped = ", ".join(f'{one.name} = "{one.label}"' for one in inputs)
+    return text + (_MORE.format(columns=columns, mapped=mapped) if role == "train" else "")
 
 
 def _words(field: str) -> str:

@@ -1,0 +1,133 @@
+"""Inputs that stand in the same table as the poses, as loggers of robots write them: one row for each frame.
+
+    time,x,y,heading,stamp,steering,throttle,safety      the columns of the inputs repeat until the next message
+
+A message counts once, at the stamp of its sender plus one offset for the file. A row arrives late by what the network
+takes, so that offset is nearly the least difference between arrival and stamp.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from snakejax.core.errors import InputError, at_line, instead_of
+from snakejax.core.text_files import read_text
+from snakejax.dynamics.inputs import Input
+
+from .cells import is_blank, separator_of, split
+from .input_log import SUFFIX
+from .numeric_table import Rows, numbers
+
+STAMP, ENABLE = "stamp", "enable"
+ALIASES = {"drive": ("throttle",), STAMP: ("elapsed time sensors",), ENABLE: ("safety_value", "safety")}
+"""Further names that the column of an input may have."""
+OFFSET_QUANTILE = 0.05
+"""The offset of the clocks is this quantile of arrival less stamp: a message whose stamp is wrong does not count."""
+LATE = 0.03
+"""Messages later than the offset by more than this [s] are told."""
+FEWEST_MESSAGES = 4
+DISABLED = ("command", "torque")
+"""Kinds of inputs that are zero where the safety is off; a steering still acts."""
+
+
+class TableInputs(NamedTuple):
+    """The messages in a table: `times` [s] (m,) on the clock of the poses and `values` (m,) of the inputs by name;
+    `enabled` (m,); `notes` on what was found."""
+
+    times: Float[np.ndarray, " m"]
+    values: dict[str, Float[np.ndarray, " m"]]
+    enabled: np.ndarray
+    notes: tuple[str, ...]
+
+
+def read_columns(path: Path, wanted: Sequence[str]) -> dict[str, Float[np.ndarray, " n"]]:
+    """The columns `wanted` of the table at `path`, whose first row has the names.
+
+    **Raises:** `InputError` where one is not there or holds what is no number.
+    """
+    text = read_text(path)
+    separator, decimal = separator_of(text[:100_000])
+    lines = text.split("\n")
+    while len(lines) > 1 and is_blank(lines[-1]):
+        lines.pop()
+    header = split(lines[0], separator)
+    for name in wanted:
+        if name not in header:
+            raise InputError(f'There is no column "{name}"', at_line(path, 1), instead_of(name, header))
+    if len(lines) < 2:
+        raise InputError("The table ends before its first row", at_line(path, 1), "export the file again")
+    table = numbers(Rows(path, lines[1:], 2, separator, decimal), header)
+    return {name: table[:, header.index(name)] for name in wanted}
+
+
+def input_columns(path: Path, said: Mapping[str, str], inputs: Sequence[Input]) -> dict[str, str]:
+    """The column of each input, of the stamp and of the safety, by what is `said` of it or by its name.
+
+    **Raises:** `InputError` where an input that must be given has none.
+    """
+    with path.open(encoding="utf-8", errors="replace") as file:
+        line = file.readline().rstrip("\r\n")
+    header = split(line, separator_of(line)[0])
+    found = dict(said)
+    for one in inputs:
+        known = (one.name + SUFFIX[one.kind], one.name, one.label, *ALIASES.get(one.name, ()))
+        here = next((name for name in known if name in header), None)
+        if one.name not in found and here is not None:
+            found[one.name] = here
+        if one.name not in found and one.follows is None:
+            remedy = f'write inputs = {{{one.name} = "its column"}}'
+            raise InputError(f"No column holds the input {one.name}", at_line(path, 1), remedy)
+    for role in (STAMP, ENABLE):
+        here = next((name for name in ALIASES[role] if name in header), None)
+        if role not in found and here is not None:
+            found[role] = here
+    return found
+
+
+def table_inputs(
+    table: Mapping[str, Float[np.ndarray, " n"]],
+    columns: Mapping[str, str],
+    arrival: np.ndarray,
+    kinds: Sequence[Input],
+) -> TableInputs:
+    """The messages in the rows of `table`, which arrived at the times `arrival` [s] (n,) of the poses.
+
+    **Raises:** `ValueError` where there are fewer than four messages.
+    """
+    notes = []
+    if STAMP in columns:
+        stamp = table[columns[STAMP]]
+        waiting = int(np.argmax(stamp != 0)) if (stamp != 0).any() else len(stamp)
+        new = np.concatenate([[True], np.diff(stamp) != 0]) & (np.arange(len(stamp)) >= waiting)
+        times, late = _on_clock(stamp[new], arrival[new])
+        if waiting:
+            notes.append(f"the first {waiting} rows have no inputs yet")
+        if late > LATE:
+            notes.append(f"messages arrive up to {late:.2f} s late; they count at the stamp of their sender")
+    else:
+        new, times = np.ones(len(arrival), bool), arrival
+    rows = np.flatnonzero(new)
+    later = np.concatenate([[True], np.diff(np.maximum.accumulate(times)) > 0]) if len(times) else np.zeros(0, bool)
+    rows, times = rows[later], times[later]
+    if len(rows) < FEWEST_MESSAGES:
+        raise ValueError(f"has {len(rows)} messages with inputs, but at least {FEWEST_MESSAGES} are needed")
+    enabled = table[columns[ENABLE]][rows] > 0.5 if ENABLE in columns else np.ones(len(rows), bool)
+    if not enabled.all():
+        notes.append(f"the safety is off in {np.mean(~enabled):.0%} of the messages: there the drive is zero")
+    values = {}
+    for one in kinds:
+        if one.name in columns:
+            value = table[columns[one.name]][rows]
+            values[one.name] = np.where(enabled, value, 0.0) if one.kind in DISABLED else value
+    return TableInputs(times, values, enabled, tuple(notes))
+
+
+def _on_clock(stamp: np.ndarray, arrival: np.ndarray) -> tuple[np.ndarray, float]:
+    """The `stamp` on the clock of `arrival`, and the largest delay of a message [s]."""
+    if not len(stamp):
+        return stamp, 0.0
+    offset = float(np.quantile(arrival - stamp, OFFSET_QUANTILE))
+    return stamp + offset, float((arrival - stamp).max() - offset)
