@@ -1,0 +1,75 @@
+"""Formulas written as text: arithmetic of named numbers, read once and evaluated with NumPy or JAX."""
+
+import ast
+from collections.abc import Mapping
+from typing import Any
+
+from .errors import InputError
+
+FUNCTIONS = ("sin", "cos", "tanh", "exp", "abs", "sign", "sqrt", "clip")
+"""The functions that a formula may call; `clip(v, low, high)`."""
+
+_OPERATORS = {
+    ast.Add: lambda a, b: a + b,
+    ast.Sub: lambda a, b: a - b,
+    ast.Mult: lambda a, b: a * b,
+    ast.Div: lambda a, b: a / b,
+    ast.Pow: lambda a, b: a**b,
+}
+
+
+def parsed(text: str) -> ast.expr:
+    """The tree of one formula such as `-k * (x - x0)`, in Python's notation.
+
+    **Raises:** `InputError` for anything but names, numbers, + - * / **, and calls of `FUNCTIONS`.
+    """
+    try:
+        tree = ast.parse(text.strip(), mode="eval").body
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        raise InputError(f"`{text}` is no formula", "expression", "write it as in `-k * (x - x0)`") from None
+    for node in ast.walk(tree):
+        if not _admissible(node):
+            what = f"`{text}` has a part that no formula may have: {type(node).__name__}"
+            raise InputError(what, "expression", f"use names, numbers, + - * / ** and {', '.join(FUNCTIONS)}")
+    return tree
+
+
+def _admissible(node: ast.AST) -> bool:
+    if isinstance(node, ast.Call):
+        return isinstance(node.func, ast.Name) and node.func.id in FUNCTIONS and not node.keywords
+    if isinstance(node, ast.Constant):
+        return isinstance(node.value, int | float) and not isinstance(node.value, bool)
+    if isinstance(node, ast.BinOp):
+        # A power of a variable number would be NaN for negative bases.
+        return type(node.op) in _OPERATORS and not (
+            isinstance(node.op, ast.Pow) and not isinstance(node.right, ast.Constant)
+        )
+    if isinstance(node, ast.UnaryOp):
+        return isinstance(node.op, ast.USub)
+    return isinstance(node, ast.Name | ast.Load | ast.operator | ast.unaryop)
+
+
+def names_in(tree: ast.expr) -> tuple[str, ...]:
+    """The names of the numbers in a formula, in the order in which they first stand there."""
+    called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
+    found = [node for node in ast.walk(tree) if isinstance(node, ast.Name) and id(node) not in called]
+    return tuple(dict.fromkeys(node.id for node in sorted(found, key=lambda node: (node.lineno, node.col_offset))))
+
+
+def evaluated(tree: ast.expr, values: Mapping[str, Any], library: Any) -> Any:
+    """The value of a formula at `values`, with the functions of `library`, which is `numpy` or `jax.numpy`."""
+    if isinstance(tree, ast.Constant):
+        return float(tree.value)  # type: ignore[arg-type]
+    if isinstance(tree, ast.Name):
+        return values[tree.id]
+    if isinstance(tree, ast.UnaryOp):
+        return -evaluated(tree.operand, values, library)
+    if isinstance(tree, ast.Call):
+        given = [evaluated(part, values, library) for part in tree.args]
+        return getattr(library, tree.func.id)(*given)  # type: ignore[union-attr]
+    assert isinstance(tree, ast.BinOp)
+    left = evaluated(tree.left, values, library)
+    if isinstance(tree.op, ast.Pow):
+        power = evaluated(tree.right, values, library)
+        return left ** (int(power) if power == int(power) else power)
+    return _OPERATORS[type(tree.op)](left, evaluated(tree.right, values, library))

@@ -1,0 +1,149 @@
+"""Laws: effects that a formula defines, as a search finds them in recordings."""
+
+import ast
+import functools
+import types
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from snakejax.core.errors import InputError
+from snakejax.core.formula import evaluated, names_in, parsed
+from snakejax.core.parameter import Scalar, own_parameters, param
+
+from .contact import Motion, Wheel, Wrench, slip_angle
+from .ports import Effect, Force, LateralForce
+from .signals import Joint
+
+if TYPE_CHECKING:
+    from .model import Model
+
+COMPONENTS = ("X", "Y", "N", "east", "north", "grip")
+"""What a law may set: force along and across the body [N], yaw moment [N m], force along the axes of the world [N], or
+the factor on the lateral force of each wheel [-]."""
+
+
+VARIABLES = ("time", "x", "y", "heading", "theta", "u", "w", "r", "speed")
+"""The variables of any vehicle, see `Motion`; `speed` is that of the body. Those of its joints come beside."""
+WHEEL_VARIABLES = ("slip_speed", "slip_angle", "rolling_speed")
+"""The variables of one wheel, on which its grip may depend."""
+
+
+class LawParameter(NamedTuple):
+    """A parameter of a law: its `unit`, its `default`, and the least and the largest value that it may have."""
+
+    name: str
+    unit: str
+    default: float = 0.0
+    low: float = -float("inf")
+    high: float = float("inf")
+
+
+class Law(Effect):
+    """An effect given by formulas: `expression` is as in `east = -k * x; north = -k * y`."""
+
+    expression: ClassVar[str] = ""
+    formulas: ClassVar[dict[str, ast.expr]] = {}
+
+    def values(self) -> dict[str, Any]:
+        """The values of the parameters by name."""
+        return {name: value for name, (value, _) in own_parameters(self)}
+
+    def inapplicable_because(self, model: "Model") -> str | None:
+        joints = {given.name: Joint(*(np.zeros(()),) * 3) for given in model.board.inputs}
+        known = {*VARIABLES, *model.board.variables(joints), *self.values()}
+        known |= set(WHEEL_VARIABLES if isinstance(self, GripLaw) else ())
+        for tree in self.formulas.values():
+            for name in names_in(tree):
+                if name not in known:
+                    return f"a {model.board.noun} has no variable `{name}`."
+        return None
+
+
+class ForceLaw(Law, Force):
+    """A force on the body, along the axes of the body or of the world, and a yaw moment."""
+
+    def wrench(self, motion: Motion) -> Wrench:
+        known = variables_of(motion) | self.values()
+        zero = jnp.zeros_like(motion.u)
+        part = {name: zero + evaluated(tree, known, jnp) for name, tree in self.formulas.items()}
+        X, Y = motion.into_body(part.get("east", zero), part.get("north", zero))
+        return X + part.get("X", zero), Y + part.get("Y", zero), part.get("N", zero)
+
+
+class GripLaw(Law, LateralForce):
+    """A factor on the lateral force of each wheel."""
+
+    def lateral(self, force: Scalar, wheel: Wheel, motion: Motion) -> Scalar:
+        known = variables_of(motion) | variables_of_wheel(wheel, motion) | self.values()
+        return force * evaluated(self.formulas["grip"], known, jnp)
+
+
+def variables_of(motion: Motion) -> dict[str, Scalar]:
+    """What a force may depend on: the motion of the vehicle, and its joints."""
+    own = {name: getattr(motion, name) for name in VARIABLES if name != "speed"}
+    # The small constant keeps the derivative of the speed finite at rest.
+    own["speed"] = jnp.sqrt(motion.u**2 + motion.w**2 + 1e-12)
+    return own | motion.board.variables(motion.inputs)
+
+
+def variables_of_wheel(wheel: Wheel, motion: Motion) -> dict[str, Scalar]:
+    """What the grip of a wheel may depend on beside: its lateral slip speed [m/s], slip angle [rad], rolling speed."""
+    angle = slip_angle(wheel.lateral, wheel.rolling, motion.board.creep_speed)
+    return dict(zip(WHEEL_VARIABLES, (wheel.lateral, angle, wheel.rolling), strict=True))
+
+
+def formulas_of(expression: str) -> dict[str, ast.expr]:
+    """The formulas of an expression such as `east = -k * x; north = -k * y`, by component.
+
+    **Raises:** `InputError` where it is none, sets a component twice, or mixes `grip` with a force.
+    """
+    formulas: dict[str, ast.expr] = {}
+    for part in expression.split(";"):
+        name, equals, formula = part.partition("=")
+        name = name.strip()
+        if not equals or name not in COMPONENTS or name in formulas:
+            what = f"`{part.strip()}` sets no component of a law, or sets one again"
+            raise InputError(what, "expression", f"write `COMPONENT = formula`, of {', '.join(COMPONENTS)}")
+        formulas[name] = parsed(formula)
+    if "grip" in formulas and len(formulas) > 1:
+        raise InputError("A law sets the grip and a force", "expression", "write two laws")
+    return formulas
+
+
+@functools.cache
+def law_class(expression: str, given: tuple[LawParameter, ...], description: str = "") -> type[Law]:
+    """The class of effects of one law, with the parameters `given`; their defaults leave the model unchanged where
+    they make the formulas zero, or the grip 1.
+
+    **Raises:** `InputError` for an expression that is none, or a parameter that it does not name.
+    """
+    formulas = formulas_of(expression)
+    named = {name for tree in formulas.values() for name in names_in(tree)}
+    for one in given:
+        if one.name not in named:
+            raise InputError(f"`{expression}` has no parameter `{one.name}`", "expression", "leave it out")
+    bases: tuple[type, ...] = (GripLaw if "grip" in formulas else ForceLaw,)
+    fields: dict[str, Any] = {p.name: param(p.unit, low=p.low, high=p.high, default=p.default) for p in given}
+    own = {
+        "__annotations__": {p.name: Scalar for p in given},
+        "__module__": __name__,
+        "expression": expression,
+        "formulas": formulas,
+        "description": description or f"A law found in the recordings: {expression}.",
+        **fields,
+    }
+    return types.new_class("Law", bases, exec_body=lambda namespace: namespace.update(own))
+
+
+def law(expression: str, units: Mapping[str, str], values: Mapping[str, float]) -> Law:
+    """The law `expression` with parameters of `units` at `values`, as a result writes it.
+
+    **Raises:** `InputError` for an expression that is none, or a parameter without a value.
+    """
+    if lacking := [name for name in units if name not in values]:
+        raise InputError(f"`{lacking[0]}` of the law has no value", "expression", "give it one")
+    given = tuple(LawParameter(name, unit) for name, unit in units.items())
+    return law_class(expression, given)(**{name: values[name] for name in units})
