@@ -58,6 +58,7 @@ def work(options: argparse.Namespace, case: Any, say: Progress) -> Outcome:
     from snakejax.commands.diagnosing import explain_case
     from snakejax.core.files import write_whole
     from snakejax.diagnosis.latent_force.template import effect_template
+    from snakejax.diagnosis.law.source import law_source
     from snakejax.present import plot
     from snakejax.present.as_json.explanation import candidates_csv, explanation_json
     from snakejax.present.as_json.fit import joint_logs_json
@@ -87,10 +88,12 @@ def work(options: argparse.Namespace, case: Any, say: Progress) -> Outcome:
         if explanation.candidates:
             write_whole(folder / "candidates.csv", candidates_csv(explanation))
         films(options, models[-1], case.board, folder, say)
+        for law in explanation.laws():
+            write_whole(folder / "missing_force.py", law_source(law, explanation.beside_laws()))
         if explanation.missing is None:
             return
         plot.save(plot.missing(explanation), folder, "explain-missing")
-        if explanation.missing.shape is not None:
+        if explanation.missing.shape is not None and not explanation.laws():
             write_whole(folder / "missing_force.py", effect_template(explanation.missing))
 
     return Outcome(result, explanation_text(explanation), write)

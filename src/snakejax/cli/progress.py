@@ -64,7 +64,9 @@ ROUTES: dict[str, tuple[Stop, ...]] = {
         Stop(Phase.ELIMINATION, 5.0, False),
         Stop(Phase.LATENT_FORCE, 7.0, False),
         Stop(Phase.FORCE_REGRESSION, 3.0, False),
+        Stop(Phase.LAW_SEARCH, 8.0, False),
         Stop(Phase.COEXISTING_EFFECTS, 20.0, False),
+        Stop(Phase.LAW_FIT, 20.0, False),
         _DRAWING,
     ),
 }

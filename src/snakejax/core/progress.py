@@ -36,6 +36,8 @@ class Phase(enum.Enum):
     ELIMINATION = "can the model do without an effect?"
     LATENT_FORCE = "estimating the missing force"
     FORCE_REGRESSION = "what does the missing force depend on?"
+    LAW_SEARCH = "searching for the law of the missing force"
+    LAW_FIT = "fitting the law to whole runs"
     COEXISTING_EFFECTS = "which effects stay significant beside the missing force?"
     TYRE_BESIDE_FORCE = "fitting the tyre beside a random force"
     CHOOSING_EFFECTS = "choosing effects beside a random force"

@@ -30,6 +30,7 @@ from .inexact.confidence import AMBIGUOUS, STAND_IN, SURE
 from .inexact.explaining import assess_effects, explanation_of, shares_of, supports
 from .inexact.steps import steps_of
 from .latent_force.missing_force import LatentForce, choose_structure
+from .law.adding import FIRST_LAW, best_law
 from .selection.acceptance import accept_structure, heldout_consistent
 from .selection.candidates import CandidateFit, CandidateSet
 from .selection.ranking import rank, significant
@@ -245,6 +246,9 @@ def _conclude(
     missing = None
     if len(last.candidate_set.train) > 1:
         missing = _latent_force(diagnosis, last, progress)
+        with_law = _with_law(case, noise, diagnosis, missing, progress)
+        if with_law is not None:
+            return _conclude_with_law(case, noise, diagnosis, with_law, missing)
     coexisting = () if missing is None else missing.beside
     partial = tuple(name for name in final.effects if name not in coexisting)
     # A fit without the force gives the effects that act beside it values that are wrong by what the force does.
@@ -252,6 +256,49 @@ def _conclude(
     estimates = final.estimates | {name: e for name, e in known.items() if name.split(".")[1] in coexisting}
     steps = (*steps[:-1], dataclasses.replace(final, estimates=estimates))
     return Explanation(case, noise, steps, "unexplained", coexisting, partial, left_out, missing)
+
+
+def _with_law(
+    case: Case, noise: Noise, diagnosis: BaseDiagnosis, missing: LatentForce, progress: Progress
+) -> list[WorkingStep] | None:
+    """The steps to the model with the law of the missing force; None where no law predicts runs left out."""
+    base = diagnosis.base
+    like, before = base.candidate_set, base.step
+    steps: list[WorkingStep] = []
+    if missing.switched and diagnosis.switched is not None:
+        like, before = diagnosis.switched
+        steps.append(selection_step(like, "added", LATERAL_SLIP_SWITCH, before))
+    found = best_law(case, noise, like, before, missing, progress)
+    return None if found is None else [*steps, selection_step(found[0], "added", FIRST_LAW, found[1])]
+
+
+def _conclude_with_law(
+    case: Case, noise: Noise, diagnosis: BaseDiagnosis, with_law: Sequence[WorkingStep], missing: LatentForce
+) -> Explanation:
+    """The verdict on a model with a law: it explains where only noise is left."""
+    last, steps = with_law[-1], (diagnosis.base.record, *(step.record for step in with_law))
+    final, left_out = steps[-1], steps[0].left_out
+    exact = consistent_with_noise(last.step.solution)
+    if exact and heldout_consistent(last.candidate_set, last.step, last.judgement):
+        share, explained_share = shares_of(steps)
+        sure = {effect: _confidence_where_exact(final, effect) for effect in final.effects}
+        return Explanation(
+            case,
+            noise,
+            steps,
+            "explained",
+            final.effects,
+            (),
+            left_out,
+            None,
+            confidence=sure,
+            share=share,
+            explained_share=explained_share,
+            bands=bands_of(final.fitted),
+            odd_runs=odd_runs_beside(last.candidate_set, last.step),
+            law=missing,
+        )
+    return Explanation(case, noise, steps, "unexplained", final.effects, (), left_out, missing, law=missing)
 
 
 def _confidence_where_exact(final: SelectionStep, effect: str) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from snakejax.core.tabular import Tabular, listed, three_digits
+from snakejax.dynamics.law import Law
 from snakejax.estimation.goodness_of_fit import BAND, score_columns
 from snakejax.estimation.uncertainty import Estimate
 from snakejax.recording.run import Case, Noise, Run
@@ -92,7 +93,7 @@ class Explanation(Tabular):
     the squared error on runs left out, `explained_share` of all together; the `floor` that vehicle and cameras leave,
     the `remainder` above it; the `candidates` of every step; and the `constants` of the vehicle, by name, which were
     estimated within what is known of them. `bands`: the predictive check of each run; `odd_runs`: train runs that
-    differ from the others.
+    differ from the others. `law`: the force in which a law among the effects was found, None without one.
     """
 
     case: Case
@@ -112,6 +113,7 @@ class Explanation(Tabular):
     constants: dict[str, Estimate] = dataclasses.field(default_factory=dict)
     bands: tuple[RunBand, ...] = ()
     odd_runs: tuple[OddRun, ...] = ()
+    law: LatentForce | None = None
 
     @property
     def base(self) -> SelectionStep:
@@ -122,6 +124,14 @@ class Explanation(Tabular):
     def final(self) -> SelectionStep:
         """The fit with all that was added."""
         return self.steps[-1]
+
+    def laws(self) -> tuple[Law, ...]:
+        """The laws in the final model."""
+        return tuple(effect for effect in self.final.model.effects.values() if isinstance(effect, Law))
+
+    def beside_laws(self) -> tuple[str, ...]:
+        """The effects in the final model that are no laws."""
+        return tuple(e for e in self.final.effects if not isinstance(self.final.model.effects.get(e), Law))
 
     def headline(self) -> str:
         """The verdict, the error before and after in multiples of the noise, and the runs."""

@@ -16,6 +16,8 @@ from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.estimation.least_squares import domains_of
 from snakejax.estimation.uncertainty import Estimate
 
+from ..law.search import ProposedLaw, search
+from ..law.windows import ForceWindows
 from ..selection.candidates import WORKERS, CandidateFit, CandidateSet
 from .dependence import FittedFunction, dependence
 from .estimate import ForceEstimator, ForceSolution
@@ -42,7 +44,8 @@ class LatentForce(Tabular):
     `misfit` is the mean square of the windows' residuals without and with the free force; `shape` is None where no
     variable predicts anything. `beside`: the known effects that survive beside the force, `lateral_skid` among them
     where the structure does. `estimates` are the parameters of the model beside which it acts, by name; `switched`,
-    whether its wheelsets skid freely although the board was said to be coupled.
+    whether its wheelsets skid freely although the board was said to be coupled. `windows`: what regressions on it need;
+    `laws`: the formulas that predict it on runs left out, the best first.
     """
 
     runs: tuple[RunForce, ...]
@@ -52,12 +55,19 @@ class LatentForce(Tabular):
     estimates: dict[str, Estimate]
     switched: bool
     beside: tuple[str, ...] = ()
+    windows: ForceWindows | None = None
+    laws: tuple[ProposedLaw, ...] = ()
 
     @property
     def left(self) -> float:
-        """The misfit that the best variable leaves."""
+        """The misfit that the best variable, or the best law, leaves."""
         best = self.depends_on[0][1] if self.depends_on else 0.0
-        return 1 + (self.misfit[0] - 1) * (1 - best)
+        return min([1 + (self.misfit[0] - 1) * (1 - best), *(law.left_out for law in self.laws)])
+
+    def with_laws(self) -> "LatentForce":
+        """This force with the laws that predict it on runs left out."""
+        enough = self.windows is not None and len(self.runs) > 1
+        return dataclasses.replace(self, laws=search(self.windows)) if enough else self
 
     @property
     def size(self) -> tuple[float, float]:
@@ -106,7 +116,13 @@ def estimate_latent_force(
     samples = float((np.asarray(drive.batch.weight) > 0).sum())
     misfit = (settled.cost / samples, float((now.linearised.residual**2).sum()) / samples)
     return LatentForce(
-        _forces(drive, now), depends_on, shape, misfit, _estimates(drive, now, misfit[1]), candidate_set.switched
+        _forces(drive, now),
+        depends_on,
+        shape,
+        misfit,
+        _estimates(drive, now, misfit[1]),
+        candidate_set.switched,
+        windows=ForceWindows.of(drive, now),
     )
 
 
@@ -123,12 +139,15 @@ def choose_structure(
     part of what is missing; what a force of one cause leaves of the windows does.
     """
     forces = [estimate_latent_force(candidate_set, step, progress) for candidate_set, step in structures]
+    progress(ProgressEvent(Phase.LAW_SEARCH))
+    forces = [force.with_laws() for force in forces]
     if len(forces) > 1 and _lowers_excess(forces[1], forces[0], structures[1][0].criteria.structure_excess_ratio):
         forces[1] = dataclasses.replace(forces[1], beside=(LATERAL_SLIP_SWITCH,))
     for k, (candidate_set, step) in enumerate(structures):
         if candidate_set is last:
             forces[k] = _with_coexisting_effects(candidate_set, step, forces[k], added, progress)
-    return min(forces, key=lambda force: force.left)
+    best = min(forces, key=lambda force: force.left)
+    return best if best.laws else best.with_laws()
 
 
 def _with_coexisting_effects(

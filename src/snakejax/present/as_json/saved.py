@@ -1,23 +1,30 @@
 """Reading of saved fits."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 from snakejax.core.errors import InputError, at_line
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.dynamics.kinds import MODEL_KINDS, STRUCTURES
+from snakejax.dynamics.law import Law, law
+
+EXPRESSION = "expression"
+"""The key beside the parameters of a law."""
 
 
 class SavedFit(NamedTuple):
     """A saved fit: `values` of its parameters by short name, `effects` {effect: {parameter: value}}; the kind of the
-    `vehicle` and its constants, None in files of versions that did not write them."""
+    `vehicle` and its constants, None in files of versions that did not write them; the `laws` among the effects."""
 
     model: str
     constraint: str
     values: dict[str, float]
     effects: dict[str, dict[str, float]]
     vehicle: tuple[str, dict[str, float]] | None = None
+    laws: Mapping[str, Law] = MappingProxyType({})
 
 
 def saved_fit(path: Path | str) -> SavedFit:
@@ -38,15 +45,18 @@ def saved_fit(path: Path | str) -> SavedFit:
         part = result.get("final") or result["base"]
         values = {name: float(entry["value"]) for name, entry in part["parameters"].items()}
         effects = {
-            effect: {name: float(entry["value"]) for name, entry in entries.items()}
+            effect: {name: float(entry["value"]) for name, entry in entries.items() if name != EXPRESSION}
             for effect, entries in (part.get("effects") or {}).items()
             if effect != LATERAL_SLIP_SWITCH  # It is the structure.
+        }
+        laws = {
+            effect: _law(entries) for effect, entries in (part.get("effects") or {}).items() if EXPRESSION in entries
         }
         kind, structure = part.get("model", result["model"]), part.get("skid", result["skid"])
         vehicle = part.get("vehicle", result.get("vehicle"))
         if vehicle is not None:
             vehicle = vehicle["kind"], {name: float(c["value"]) for name, c in vehicle["constants"].items()}
-        saved = SavedFit(kind, structure, values, effects, vehicle)
+        saved = SavedFit(kind, structure, values, effects, vehicle, laws)
     except (KeyError, TypeError, AttributeError, ValueError):
         raise InputError("The file does not hold a fit", str(path), remedy) from None
     if saved.model not in MODEL_KINDS or saved.constraint not in STRUCTURES:
@@ -54,3 +64,10 @@ def saved_fit(path: Path | str) -> SavedFit:
             f"The saved model is `{saved.model}`, `{saved.constraint}`, which no fit has", str(path), remedy
         )
     return saved
+
+
+def _law(entries: Mapping[str, Any]) -> Law:
+    """The law that `entries` of a result describe."""
+    parameters = {name: entry for name, entry in entries.items() if name != EXPRESSION}
+    units = {name: str(entry["unit"]) for name, entry in parameters.items()}
+    return law(entries[EXPRESSION], units, {name: float(entry["value"]) for name, entry in parameters.items()})

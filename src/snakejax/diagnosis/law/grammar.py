@@ -1,0 +1,221 @@
+"""The grammar of laws: what may act, on which variables it may depend, and in which form; every term has a unit.
+
+A law is a sum of terms, each an amplitude times a product of variables and one function of a variable:
+
+    action                         function of a variable v
+    X, Y, N, a force in the world  v, v^2, v |v|, 1 and v, tanh(v / s), tanh((v / s)^2), a threshold, a bump,
+    drag, force across the         sin and cos of k v, a product of two variables,
+    velocity, yaw drag, grip       a spring to a point, a plane, a bump or a threshold in the plane
+"""
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from .units import Unit, power, product, unit_of
+
+NEWTON: Unit = {"N": 1}
+NEWTON_METRE: Unit = {"N": 1, "m": 1}
+DAMPING: Unit = {"N": 1, "s": 1, "m": -1}
+YAW_DAMPING: Unit = {"N": 1, "m": 1, "s": 1}
+
+
+class Action(NamedTuple):
+    """What a term acts on: the multiplier of the function for each component, and the unit of the product."""
+
+    name: str
+    components: tuple[tuple[str, str], ...]
+    unit: Unit
+
+
+ACTIONS = (
+    Action("X", (("X", ""),), NEWTON),
+    Action("Y", (("Y", ""),), NEWTON),
+    Action("N", (("N", ""),), NEWTON_METRE),
+    Action("drag", (("X", "-u"), ("Y", "-w")), DAMPING),
+    Action("across", (("X", "-w"), ("Y", "u")), DAMPING),
+    Action("yaw_drag", (("N", "-r"),), YAW_DAMPING),
+    Action("grip", (("grip", "-"),), {}),
+)
+EAST, NORTH = Action("east", (("east", ""),), NEWTON), Action("north", (("north", ""),), NEWTON)
+WORLD_VARIABLES = ("x", "y", "heading", "theta", "time")
+"""The variables on which a force along the axes of the world may depend."""
+
+
+class ShapeParameter(NamedTuple):
+    """A parameter inside a function: `starts` of its search, its bounds and its unit."""
+
+    name: str
+    unit: Unit
+    starts: tuple[float, ...]
+    low: float = -np.inf
+    high: float = np.inf
+
+
+class Term(NamedTuple):
+    """`amplitude` [unit] times a formula for each component."""
+
+    amplitude: str
+    unit: Unit
+    formulas: tuple[tuple[str, str], ...]
+
+
+class Family(NamedTuple):
+    """A form of law: its `terms` are added; `shape` are the parameters inside them. `name` and `variables` tell it."""
+
+    name: str
+    action: str
+    variables: tuple[str, ...]
+    terms: tuple[Term, ...]
+    shape: tuple[ShapeParameter, ...] = ()
+
+    @property
+    def size(self) -> int:
+        """How many parameters it has."""
+        return len(self.terms) + len(self.shape)
+
+    def expression(self) -> str:
+        """`east = a * x; grip = 1 - g * x`."""
+        sides: dict[str, str] = {}
+        for term in self.terms:
+            for component, formula in term.formulas:
+                negative = formula.startswith("-")
+                text = f"{term.amplitude} * {formula.removeprefix('-')}".removesuffix(" * ")
+                before = sides.get(component, "1" if component == "grip" else "")
+                sides[component] = (
+                    f"{before} {'-' if negative else '+'} {text}" if before else f"{'-' * negative}{text}"
+                )
+        return "; ".join(f"{component} = {text}" for component, text in sides.items())
+
+
+class Range(NamedTuple):
+    """What was seen of a variable: its 2nd and 98th percentile."""
+
+    low: float
+    high: float
+
+    @property
+    def width(self) -> float:
+        return max(self.high - self.low, 1e-9)
+
+    @property
+    def largest(self) -> float:
+        return max(abs(self.low), abs(self.high), 1e-9)
+
+
+class _Function(NamedTuple):
+    """Functions of one variable that a law adds up: text with the power of the unit of the variable in it."""
+
+    name: str
+    parts: tuple[tuple[str, int], ...]
+    shape: tuple[ShapeParameter, ...] = ()
+
+
+def _functions(variable: str, seen: Range) -> Iterator[_Function]:
+    """The functions of one variable."""
+    v, unit, angle = variable, unit_of(variable), variable in ("heading", "theta")
+    if angle:
+        yield _Function("harmonic", ((f"sin({v})", 0), (f"cos({v})", 0)))
+        yield _Function("second harmonic", ((f"sin(2 * {v})", 0), (f"cos(2 * {v})", 0)))
+        return
+    yield _Function("linear", ((v, 1),))
+    yield _Function("square", ((f"{v} ** 2", 2),))
+    if seen.low < 0 < seen.high:
+        yield _Function("signed square", ((f"{v} * abs({v})", 2),))
+    yield _Function("affine", (("", 0), (v, 1)))
+    scales = tuple(seen.largest * part for part in (0.1, 0.25, 0.5, 1.0))
+    s = ShapeParameter("s", unit, scales, 0.01 * seen.largest, 20 * seen.largest)
+    yield _Function("saturation", ((f"tanh({v} / s)", 0),), (s,))
+    yield _Function("even saturation", ((f"tanh(({v} / s) ** 2)", 0),), (s,))
+    places = tuple(seen.low + seen.width * part for part in np.linspace(0.08, 0.92, 8))
+    v0 = ShapeParameter("v0", unit, places, seen.low - seen.width, seen.high + seen.width)
+    widths = tuple(seen.width * part for part in (0.04, 0.1, 0.25))
+    width = ShapeParameter("s", unit, widths, 0.005 * seen.width, 5 * seen.width)
+    yield _Function("threshold", ((f"(0.5 + 0.5 * tanh(({v} - v0) / s))", 0),), (v0, width))
+    yield _Function("bump", ((f"exp(-(({v} - v0) / s) ** 2)", 0),), (v0, width))
+    if variable in ("x", "y", "time") or variable.endswith("_angle"):
+        numbers = tuple(np.pi / seen.width * np.arange(1.0, 31.0))
+        k = ShapeParameter("k", power(unit, -1), numbers, 0.3 * numbers[0], 1.2 * numbers[-1])
+        yield _Function("wave", ((f"sin(k * {v})", 0), (f"cos(k * {v})", 0)), (k,))
+
+
+def _term(action: Action, amplitude: str, formula: str, unit: Unit) -> Term:
+    """An amplitude so that it times `formula`, which has `unit`, acts."""
+    texts = []
+    for component, multiplier in action.components:
+        bare = multiplier.removeprefix("-")
+        joined = " * ".join(part for part in (bare, formula) if part)
+        texts.append((component, "-" * multiplier.startswith("-") + joined))
+    return Term(amplitude, product(action.unit, power(unit, -1)), tuple(texts))
+
+
+def families(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]:
+    """All forms of law of the variables in `ranges`; those named in `wheel` belong to a wheel, so only its grip."""
+    for variable, seen in ranges.items():
+        for function in _functions(variable, seen):
+            for action in ACTIONS:
+                if variable in wheel and action.name != "grip":
+                    continue
+                terms = [
+                    _term(action, "abc"[k], text, power(unit_of(variable), n))
+                    for k, (text, n) in enumerate(function.parts)
+                ]
+                if action.name == "grip" and function.name == "affine":
+                    continue  # A constant part of the grip is that of the tyre.
+                yield Family(function.name, action.name, (variable,), tuple(terms), function.shape)
+            if variable in WORLD_VARIABLES:
+                yield _world(function, variable)
+    for one, other in combinations(ranges, 2):
+        if one in wheel or other in wheel:
+            continue
+        for action in ACTIONS[:3]:
+            unit = product(unit_of(one), unit_of(other))
+            yield Family("product", action.name, (one, other), (_term(action, "a", f"{one} * {other}", unit),))
+    if "x" in ranges and "y" in ranges:
+        yield from _in_the_plane(ranges)
+
+
+def _world(function: _Function, variable: str) -> Family:
+    terms = []
+    for k, (text, n) in enumerate(function.parts):
+        for action, letter in ((EAST, "abc"[k]), (NORTH, "fgh"[k])):
+            terms.append(_term(action, letter, text, power(unit_of(variable), n)))
+    return Family(function.name, "world", (variable,), tuple(terms), function.shape)
+
+
+def _in_the_plane(ranges: dict[str, Range]) -> Iterator[Family]:
+    """Laws of the place."""
+    metre: Unit = {"m": 1}
+    size = max(ranges["x"].width, ranges["y"].width)
+    pull = Term("k", {"N": 1, "m": -1}, (("east", "-x"), ("north", "-y")))
+    constant = (_term(EAST, "a", "", {}), _term(NORTH, "b", "", {}))
+    yield Family("spring", "world", ("x", "y"), (pull, *constant))
+    planes = [
+        _term(side, letter, v, metre)
+        for side, letters in ((EAST, "cd"), (NORTH, "fg"))
+        for letter, v in zip(letters, "xy", strict=True)
+    ]
+    yield Family("plane", "world", ("x", "y"), (*constant, *planes))
+    middles = [
+        ShapeParameter(
+            f"{v}0",
+            metre,
+            tuple(np.linspace(ranges[v].low, ranges[v].high, 6)),
+            ranges[v].low - size,
+            ranges[v].high + size,
+        )
+        for v in "xy"
+    ]
+    s = ShapeParameter("s", metre, (0.15 * size, 0.4 * size), 0.01 * size, 5 * size)
+    q = ShapeParameter("q", {"rad": 1}, tuple(np.pi * np.arange(8) / 8))
+    d = ShapeParameter("d", metre, tuple(size * np.linspace(-0.4, 0.4, 5)), -3 * size, 3 * size)
+    bump = "exp(-((x - x0) ** 2 + (y - y0) ** 2) / s ** 2)"
+    edge = "(0.5 + 0.5 * tanh((x * cos(q) + y * sin(q) - d) / s))"
+    for action in ACTIONS:
+        yield Family(
+            "plane", action.name, ("x", "y"), tuple(_term(action, a, v, metre) for a, v in (("a", "x"), ("b", "y")))
+        )
+        yield Family("bump in the plane", action.name, ("x", "y"), (_term(action, "a", bump, {}),), (*middles, s))
+        yield Family("threshold in the plane", action.name, ("x", "y"), (_term(action, "a", edge, {}),), (q, d, s))

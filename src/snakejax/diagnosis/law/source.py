@@ -1,0 +1,93 @@
+"""A law as a Python file: an effect of the user's own that acts in the same way."""
+
+import ast
+from collections.abc import Sequence
+
+from snakejax.core.formula import FUNCTIONS, names_in
+from snakejax.core.parameter import own_parameters
+from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
+from snakejax.dynamics.law import VARIABLES, WHEEL_VARIABLES, GripLaw, Law
+
+_SPEED = "jnp.sqrt(motion.u**2 + motion.w**2 + 1e-12)"
+_OF_WHEEL = {
+    "slip_speed": "wheel.lateral",
+    "slip_angle": "sj.dynamics.slip_angle(wheel.lateral, wheel.rolling, motion.board.creep_speed)",
+    "rolling_speed": "wheel.rolling",
+}
+
+
+def law_source(law: Law, beside: Sequence[str] = ()) -> str:
+    """A Python file with the effect `MissingForce`, which is `law`; `beside`: the other effects of its model.
+
+    Its amplitudes are zero by default, so that it changes nothing before it is fitted; the values found stand in its
+    docstring.
+    """
+    fields = [(name, value, domain) for name, (value, domain) in own_parameters(law)]
+    defaults = {name: float(getattr(type(law)(), name)) for name, _, _ in fields}
+    names = dict.fromkeys(name for tree in law.formulas.values() for name in names_in(tree))
+    known = {name for name, _, _ in fields}
+    lines = [f"{name} = {_variable(name)}" for name in names if name not in known]
+    for component, tree in law.formulas.items():
+        lines.append(f"{component} = {_code(tree, known)}")
+    if isinstance(law, GripLaw):
+        method, port = "lateral(self, force, wheel, motion)", "LateralForce"
+        lines.append("return force * grip")
+    else:
+        method, port = "wrench(self, motion)", "Force"
+        lines += _returned(law)
+    declared = "\n".join(
+        f'    {name}: sj.Scalar = sj.param("{domain.unit}", default={defaults[name]!r})' for name, _, domain in fields
+    )
+    body = "\n".join(f"        {line}" for line in lines)
+    effects = "".join(f" --with {name}" for name in beside if name != LATERAL_SLIP_SWITCH)
+    skid = " --skid free" if LATERAL_SLIP_SWITCH in beside else ""
+    values = ",".join(f"{name}={float(value):.10g}" for name, value, _ in fields)
+    return f'''"""The law that `snakejax explain` found: {law.expression}
+
+Fit it:        snakejax fit CASE{skid}{effects} --with THIS_FILE.py:MissingForce
+As it is:      snakejax fit CASE{skid}{effects} --with THIS_FILE.py:MissingForce:{values}
+"""
+
+import jax.numpy as jnp
+import snakejax as sj
+
+
+class MissingForce(sj.{port}):
+    description = "{law.description}"
+{declared}
+
+    def {method}:
+{body}
+'''
+
+
+def _variable(name: str) -> str:
+    if name == "speed":
+        return _SPEED
+    if name in WHEEL_VARIABLES:
+        return _OF_WHEEL[name]
+    return f"motion.{name}" if name in VARIABLES else f"motion.board.variables(motion.inputs)[{name!r}]"
+
+
+def _returned(law: Law) -> list[str]:
+    """The lines that turn the components into a wrench."""
+    set_, lines = set(law.formulas), []
+    zero = "jnp.zeros_like(motion.u)"
+    if set_ & {"east", "north"}:
+        sides = (name if name in set_ else zero for name in ("east", "north"))
+        lines.append(f"along, across = motion.into_body({', '.join(sides)})")
+        sums = [" + ".join((own, name)) if name in set_ else own for own, name in (("along", "X"), ("across", "Y"))]
+    else:
+        sums = [f"{zero} + {name}" if name in set_ else zero for name in ("X", "Y")]
+    return [*lines, f"return {', '.join(sums)}, {f'{zero} + N' if 'N' in set_ else zero}"]
+
+
+def _code(tree: ast.expr, parameters: set[str]) -> str:
+    """A formula as code: parameters are those of the effect, functions those of JAX."""
+
+    class Renamed(ast.NodeTransformer):
+        def visit_Name(self, node: ast.Name) -> ast.expr:
+            owner = "self" if node.id in parameters else "jnp" if node.id in FUNCTIONS else None
+            return node if owner is None else ast.Attribute(ast.Name(owner, ast.Load()), node.id, ast.Load())
+
+    return ast.unparse(ast.fix_missing_locations(Renamed().visit(ast.parse(ast.unparse(tree), mode="eval")).body))

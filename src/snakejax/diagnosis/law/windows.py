@@ -1,0 +1,147 @@
+"""The windows of a free force, reduced to what regressions on histories of force and grip need."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from snakejax.core.formula import evaluated, parsed
+
+from ..latent_force.estimate import ForceEstimator, ForceSolution
+from ..latent_force.piecewise_force import SPACING
+from .grammar import Family, Range
+
+FINEST = 0.02
+"""Samples nearer to each other [s] are left out: the knots of the force are five times as far apart."""
+
+
+class Fitted(NamedTuple):
+    """Forms of law at G values of their shape: amplitudes (G, T), parameter steps (G, P), chi^2 (G,) of all runs and,
+    summed, of each run under the fit to the others."""
+
+    amplitudes: np.ndarray
+    steps: np.ndarray
+    chi2: np.ndarray
+    left_out: np.ndarray
+
+
+class ForceWindows(NamedTuple):
+    """W windows at n samples with K knots: `variables` (2, W, n) for the wheels ahead of the middle and behind it;
+    `onto` (W, K, n), the least squares onto the knots; per window the normal equations `matrix` (W, P + 5K, P + 5K),
+    `right` of parameters, force knots and grip knots; `square` (R,); `owner` (W,): the run; `pull` and `precision` (P,)
+    of the parameters; `theta` (W, n)."""
+
+    variables: dict[str, np.ndarray]
+    wheel: tuple[str, ...]
+    onto: np.ndarray
+    matrix: np.ndarray
+    right: np.ndarray
+    square: np.ndarray
+    owner: np.ndarray
+    pull: np.ndarray
+    precision: np.ndarray
+    theta: np.ndarray
+    samples: int
+
+    @staticmethod
+    def of(drive: ForceEstimator, now: ForceSolution) -> "ForceWindows":
+        """The windows of `drive` at `now`."""
+        track, K = now.linearised.track, drive.knots
+        spacing = float(np.median(np.diff(track.time[0])))
+        pick = slice(None, None, max(1, int(FINEST / spacing + 1e-6)))
+        onto, matrix, right, square = [], [], [], np.zeros(len(drive.runs))
+        for k, window in enumerate(now.windows):
+            first = drive.began[drive.owner[k]] + SPACING * drive.first[k]
+            hats = np.maximum(1 - np.abs((track.time[k][pick, None] - first) / SPACING - np.arange(K)), 0.0)
+            # One that no sample touches stays at zero.
+            onto.append(np.linalg.solve(hats.T @ hats + 1e-6 * np.eye(K), hats.T))
+            H = np.concatenate([window.parameters, window.force, window.grip], axis=1)
+            matrix.append(H.T @ H)
+            right.append(H.T @ window.data)
+            square[drive.owner[k]] += float(window.data @ window.data)
+        own = {name: getattr(track, name) for name in ("time", "x", "y", "heading", "theta", "u", "w", "r")}
+        own |= {"speed": np.hypot(track.u, track.w), **track.inputs}
+        variables = {name: np.stack([values[:, pick]] * 2) for name, values in own.items()}
+        if np.allclose(own["theta"], own["heading"], rtol=0, atol=1e-6):
+            variables.pop("theta")
+        wheel = {"slip_speed": track.slip, "slip_angle": track.angle}
+        variables |= {name: np.stack([side[:, pick] for side in sides]) for name, sides in wheel.items()}
+        pull, precision = drive.typical(now.point.values)
+        count = int((np.asarray(drive.batch.weight) > 0).sum() - np.asarray(drive.batch.free_start).sum())
+        whole = (np.array(onto), np.array(matrix), np.array(right), square, np.asarray(drive.owner))
+        return ForceWindows(variables, tuple(wheel), *whole, pull, precision, track.theta[:, pick], count)
+
+    def ranges(self) -> dict[str, Range]:
+        """What was seen of each variable that varies."""
+        ends = {name: Range(*np.percentile(values, [2, 98])) for name, values in self.variables.items()}
+        return {name: seen for name, seen in ends.items() if seen.high - seen.low > 1e-6}
+
+    def histories(self, family: Family, shape: Mapping[str, np.ndarray]) -> np.ndarray:
+        """The knots (G, T, W, 5K) of each term at G values of the `shape`: force knot by knot, then grip."""
+        G = max((len(values) for values in shape.values()), default=1)
+        wide = {name: np.asarray(values)[:, None, None] for name, values in shape.items()}
+        W, K, n = self.onto.shape
+        c, s = np.cos(self.theta), np.sin(self.theta)
+        found = np.zeros((G, len(family.terms), W, 5 * K))
+        for t, term in enumerate(family.terms):
+            wrench = {}
+            for component, formula in term.formulas:
+                tree = parsed(formula or "1")
+                for side in (0, 1) if component == "grip" else (0,):
+                    known = {name: values[side] for name, values in self.variables.items()} | wide
+                    value = np.broadcast_to(evaluated(tree, known, np), (G, W, n))
+                    if component == "grip":
+                        found[:, t, :, 3 * K + side :: 2] = np.einsum("wkn,gwn->gwk", self.onto, value, optimize=True)
+                    else:
+                        wrench[component] = value
+            east, north = wrench.get("east", 0.0), wrench.get("north", 0.0)
+            along = (east * c + north * s, north * c - east * s, 0.0) if {"east", "north"} & set(wrench) else (0.0,) * 3
+            for k, name in enumerate(("X", "Y", "N")):
+                total = along[k] + wrench.get(name, 0.0)
+                if isinstance(total, np.ndarray):
+                    found[:, t, :, k : 3 * K : 3] = np.einsum("wkn,gwn->gwk", self.onto, total, optimize=True)
+        return found
+
+    def normal(self, histories: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The normal equations (R, G, P + T, P + T) and (R, G, P + T) of parameters and amplitudes, run by run."""
+        P, (G, T, W, _), R = len(self.pull), histories.shape, len(self.square)
+        full, onto_full = np.zeros((R, G, P + T, P + T)), np.zeros((R, G, P + T))
+        h = histories.transpose(2, 3, 0, 1).reshape(W, histories.shape[-1], G * T)
+        crossed = (self.matrix[:, :, P:] @ h).reshape(W, self.matrix.shape[1], G, T)
+        inner = np.einsum("wjgt,wjgs->wgts", h.reshape(W, histories.shape[-1], G, T), crossed[:, P:], optimize=True)
+        slopes = np.einsum("wj,wjgt->wgt", self.right[:, P:], h.reshape(W, histories.shape[-1], G, T), optimize=True)
+        for k in range(W):
+            run = self.owner[k]
+            full[run, :, :P, :P] += self.matrix[k, :P, :P]
+            mixed = crossed[k, :P].transpose(1, 0, 2)
+            full[run, :, :P, P:] += mixed
+            full[run, :, P:, :P] += mixed.transpose(0, 2, 1)
+            full[run, :, P:, P:] += inner[k]
+            onto_full[run, :, :P] += self.right[k, :P]
+            onto_full[run, :, P:] += slopes[k]
+        return full, onto_full
+
+    def fitted(self, histories: np.ndarray) -> Fitted:
+        """The regressions on G sets of `histories`."""
+        P = len(self.pull)
+        matrix, right = self.normal(histories)
+        total, slope = matrix.sum(axis=0), right.sum(axis=0)
+        c = self._solved(total, slope, total)
+        chi2 = self.square.sum() - 2 * (slope * c).sum(-1) + np.einsum("gi,gij,gj->g", c, total, c)
+        left = np.zeros(len(chi2))
+        for k, (one, own) in enumerate(zip(matrix, right, strict=True)):
+            d = self._solved(total - one, slope - own, total)
+            left += self.square[k] - 2 * (own * d).sum(-1) + np.einsum("gi,gij,gj->g", d, one, d)
+        return Fitted(c[:, P:], c[:, :P], chi2, left)
+
+    def _solved(self, matrix: np.ndarray, right: np.ndarray, total: np.ndarray) -> np.ndarray:
+        """Parameter steps and amplitudes (G, P + T), with a light ridge on the latter."""
+        P = len(self.pull)
+        ridge = 1e-6 * np.einsum("gii->gi", total) + 1e-12
+        ridge[:, :P] = self.precision
+        full = right.copy()
+        full[:, :P] += self.precision * self.pull
+        A = matrix + np.einsum("gi,ij->gij", ridge, np.eye(ridge.shape[1]))
+        size = np.sqrt(np.einsum("gii->gi", A))
+        scaled = A / (size[:, :, None] * size[:, None, :]) + 1e-12 * np.eye(A.shape[1])
+        return np.linalg.solve(scaled, (full / size)[..., None])[..., 0] / size

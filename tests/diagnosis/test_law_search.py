@@ -1,0 +1,130 @@
+"""The search for a law finds the one that made a force, with its variables, its numbers and their units."""
+
+import numpy as np
+import pytest
+
+from snakejax.core.formula import evaluated
+from snakejax.diagnosis.latent_force.piecewise_force import SPACING
+from snakejax.diagnosis.law.grammar import Family, Range, Term, families
+from snakejax.diagnosis.law.search import search
+from snakejax.diagnosis.law.units import power, product, unit_text
+from snakejax.diagnosis.law.windows import ForceWindows
+from snakejax.dynamics.law import formulas_of, law_class
+
+RUNS, OF_RUN, KNOTS, PARAMETERS, STEP = 4, 5, 17, 2, 0.02
+
+
+def moving(rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """The variables (W, n) of a made-up motion in which none is a function of another."""
+    n, W = 76, RUNS * OF_RUN
+    t = np.tile(np.arange(OF_RUN)[:, None] * 1.5 + STEP * np.arange(n), (RUNS, 1))
+    run = np.repeat(np.arange(RUNS), OF_RUN)[:, None]
+    w = 3.0 + 0.7 * run
+    phase = rng.uniform(0, 6, (RUNS, 8))[run[:, 0]]
+
+    def wave(k: int, size: float, rate: float) -> np.ndarray:
+        return size * np.sin(rate * w * t + phase[:, k, None])
+
+    x, y = 0.12 * t * (1 + 0.2 * run) + wave(0, 0.05, 1.0) - 0.5, wave(1, 0.4, 0.21) + 0.05 * t
+    heading = wave(2, 0.5, 0.3) + 0.1 * run * t
+    rotor, steering = wave(3, 1.6, 1.0), wave(4, 0.8, 0.6)
+    rates = [np.gradient(part, STEP, axis=1) for part in (rotor, steering)]
+    u, v, r = 0.3 + wave(5, 0.1, 0.8), wave(6, 0.05, 1.3), wave(7, 1.2, 1.0)
+    assert t.shape == (W, n)
+    names = ("time", "x", "y", "heading", "theta", "u", "w", "r", "rotor_angle", "rotor_rate", "steering_angle")
+    values = (t, x, y, heading, heading, u, v, r, rotor, rates[0], steering)
+    return dict(zip(names, values, strict=True)) | {"steering_rate": rates[1], "speed": np.hypot(u, v)}
+
+
+def windows_of(made: Family, seed: int = 1, noise: float = 1.0) -> ForceWindows:
+    """Windows in which the law `made`, its amplitudes and shape written into its formulas, acts."""
+    rng = np.random.default_rng(seed)
+    own = moving(rng)
+    W = len(own["time"])
+    first = own["time"][:, :1]
+    hats = np.maximum(1 - np.abs((own["time"] - first)[:, :, None] / SPACING - np.arange(KNOTS)), 0.0)
+    onto = np.linalg.solve(hats.transpose(0, 2, 1) @ hats + 1e-6 * np.eye(KNOTS), hats.transpose(0, 2, 1))
+    variables = {name: np.stack([part] * 2) for name, part in own.items() if name != "theta"}
+    zeros = np.zeros((W, PARAMETERS + 5 * KNOTS, PARAMETERS + 5 * KNOTS))
+    owner, size = np.repeat(np.arange(RUNS), OF_RUN), np.zeros(PARAMETERS)
+    square = np.zeros(RUNS)
+    bare = ForceWindows(variables, (), onto, zeros, zeros[:, 0], square, owner, size, size, own["theta"], W * 150)
+    history = bare.histories(made, {})[0].sum(axis=0)
+    H = rng.normal(size=(W, 150, PARAMETERS + 5 * KNOTS))
+    data = np.einsum("wij,wj->wi", H[:, :, PARAMETERS:], history) * 30 + noise * rng.normal(size=(W, 150))
+    H[:, :, PARAMETERS:] *= 30
+    np.add.at(square, owner, (data**2).sum(axis=1))
+    normal = np.einsum("wij,wik->wjk", H, H), np.einsum("wij,wi->wj", H, data)
+    return bare._replace(matrix=normal[0], right=normal[1], square=square)
+
+
+def law_of(*components: tuple[str, str]) -> Family:
+    return Family("made", "", (), (Term("a", {}, components),))
+
+
+CASES = {
+    "spring": (
+        law_of(("east", "0.15 * (0.6 - x)"), ("north", "0.15 * (-0.7 - y)")),
+        ("east = k * (x0 - x); north = k * (y0 - y)", {"k": (0.15, "N/m"), "x0": (0.6, "m"), "y0": (-0.7, "m")}),
+    ),
+    "washboard": (
+        law_of(("east", "0.3 * sin(9 * x)")),
+        ("east = a * sin(k * x)", {"a": (0.3, "N"), "k": (9.0, "1/m")}),
+    ),
+    "turning across": (
+        law_of(("X", "-0.8 * r * w"), ("Y", "0.8 * r * u")),
+        ("X = -a * w * r; Y = a * u * r", {"a": (0.8, "N s^2/(m rad)")}),
+    ),
+    "shaken grip": (
+        law_of(("grip", "-0.35 * tanh((rotor_rate / 4) ** 2)")),
+        ("grip = 1 - a * tanh((rotor_rate / s) ** 2)", {"a": (0.35, "-"), "s": (4.0, "rad/s")}),
+    ),
+    "cable": (law_of(("N", "-0.01 * rotor_angle")), ("N = a * rotor_angle", {"a": (-0.01, "N m/rad")})),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_law_that_made_the_force_comes_first(name: str) -> None:
+    made, (expression, values) = CASES[name]
+    first = search(windows_of(made))[0]
+    assert first.expression == expression
+    units = {part.name: part.unit for part in first.parameters}
+    assert units == {part: unit for part, (_, unit) in values.items()}
+    for part, (value, _) in values.items():
+        assert first.values[part] == pytest.approx(value, rel=0.05)
+    assert first.left_out < 1.05
+
+
+def test_noise_has_no_law() -> None:
+    assert search(windows_of(law_of(("X", "0 * x")))) == ()
+
+
+def test_each_form_of_the_grammar_is_an_expression_whose_value_is_that_of_its_terms() -> None:
+    rng = np.random.default_rng(3)
+    seen = {name: Range(-1.0, 1.2) for name in ("x", "y", "heading", "u", "w", "r", "rotor_rate", "slip_speed")}
+    for family in families(seen, ("slip_speed",)):
+        known = {name: rng.uniform(0.2, 1.0) for name in seen} | {"theta": 0.1}
+        known |= {part.name: part.starts[0] for part in family.shape}
+        known |= {term.amplitude: rng.uniform(0.5, 1.0) for term in family.terms}
+        for component, tree in formulas_of(family.expression()).items():
+            parts = [
+                known[term.amplitude] * evaluated(formulas_of(f"X = {text or '1'}")["X"], known, np)
+                for term in family.terms
+                for name, text in term.formulas
+                if name == component
+            ]
+            expected = sum(parts) + (component == "grip")
+            assert float(evaluated(tree, known, np)) == pytest.approx(expected, rel=1e-12)
+
+
+def test_units_of_products() -> None:
+    assert unit_text(product({"N": 1}, power({"m": 1, "s": -1}, -1))) == "N s/m"
+    assert unit_text(product({"N": 1, "m": 1}, power({"rad": 1}, -2))) == "N m/rad^2"
+    assert unit_text(power({"m": 1}, -1)) == "1/m" and unit_text({}) == "-"
+
+
+def test_a_proposed_law_is_neutral_by_default() -> None:
+    law = search(windows_of(CASES["shaken grip"][0]))[0]
+    effect = law_class(law.expression, law.parameters)()
+    known = {"rotor_rate": 3.0, "a": float(effect.a), "s": float(effect.s)}  # type: ignore[attr-defined]
+    assert evaluated(effect.formulas["grip"], known, np) == 1.0
