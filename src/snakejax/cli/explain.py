@@ -88,12 +88,13 @@ def work(options: argparse.Namespace, case: Any, say: Progress) -> Outcome:
         if explanation.candidates:
             write_whole(folder / "candidates.csv", candidates_csv(explanation))
         films(options, models[-1], case.board, folder, say)
-        for law in explanation.laws():
-            write_whole(folder / "missing_force.py", law_source(law, explanation.beside_laws()))
+        beside = [effect for effect in explanation.final.effects if effect not in explanation.named_laws]
+        for law in explanation.named_laws.values():
+            write_whole(folder / "missing_force.py", law_source(law, beside))
         if explanation.missing is None:
             return
         plot.save(plot.missing(explanation), folder, "explain-missing")
-        if explanation.missing.shape is not None and not explanation.laws():
+        if explanation.missing.shape is not None and not explanation.named_laws:
             write_whole(folder / "missing_force.py", effect_template(explanation.missing))
 
     return Outcome(result, explanation_text(explanation), write)

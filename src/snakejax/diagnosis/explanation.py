@@ -125,13 +125,10 @@ class Explanation(Tabular):
         """The fit with all that was added."""
         return self.steps[-1]
 
-    def laws(self) -> tuple[Law, ...]:
-        """The laws in the final model."""
-        return tuple(effect for effect in self.final.model.effects.values() if isinstance(effect, Law))
-
-    def beside_laws(self) -> tuple[str, ...]:
-        """The effects in the final model that are no laws."""
-        return tuple(e for e in self.final.effects if not isinstance(self.final.model.effects.get(e), Law))
+    @property
+    def named_laws(self) -> dict[str, Law]:
+        """The laws in the final model, by name."""
+        return {name: effect for name, effect in self.final.model.effects.items() if isinstance(effect, Law)}
 
     def headline(self) -> str:
         """The verdict, the error before and after in multiples of the noise, and the runs."""

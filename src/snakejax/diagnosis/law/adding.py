@@ -91,7 +91,7 @@ def best_law(
     beside = tuple(name for name in missing.beside if name != LATERAL_SLIP_SWITCH)
     effects = tuple(dict.fromkeys((*base.effects, *beside)))
     best: tuple[CandidateSet, CandidateFit] | None = None
-    least = left_out_misfit(like, base)
+    least = None
     for law in missing.laws[:TRIED]:
         progress(ProgressEvent(Phase.LAW_FIT, f"fitting {law.expression} to whole runs"))
         try:
@@ -104,6 +104,10 @@ def best_law(
             return candidate_set, fit
         # Far from the noise a linear model says nothing about runs left out.
         progress(ProgressEvent(Phase.PREDICTION, f"does {law.expression} predict runs that were left out?"))
+        if least is None:
+            near = base.solution.misfit < like.criteria.linear_misfit
+            # Far from the recordings the misfit of its own fit stands for what the base would predict: it favours it.
+            least = left_out_misfit(like, base) if near else base.solution.misfit
         left = left_out_misfit(candidate_set, fit)
         if left < least:
             best, least = (candidate_set, fit), left

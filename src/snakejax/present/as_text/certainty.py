@@ -25,6 +25,39 @@ def confidence_sentences(explanation: Explanation, effect: str) -> Iterator[str]
         yield f"It takes away {percent(share)} of the squared error of the {runs} runs."
 
 
+def law_sentences(explanation: Explanation) -> Iterator[str]:
+    """How well the variables of a law are known, and what else fits almost as well."""
+    force = explanation.law
+    if force is None or not force.laws:
+        return
+    shares = [f"{variable.replace('_', ' ')} {percent(share)}" for variable, share in force.depends_on[:3]]
+    if shares:
+        yield f"Of the missing force, each variable alone predicts on runs left out: {', '.join(shares)}."
+    taken = {law.expression for law in explanation.named_laws.values()}
+    others = [law for law in force.laws if law.expression not in taken]
+    least = min(law.left_out for law in force.laws)
+    close = [law for law in others if law.left_out - 1 < ALMOST * max(least - 1, LEAST_EXCESS)]
+    if close:
+        yield f"Almost as well over short windows: {listed([law.expression for law in close], 'or')}."
+    elif others:
+        best = min(others, key=lambda law: law.left_out)
+        yield (
+            f"No other form comes near it over short windows: it leaves {force_left(least)} times the noise,"
+            f" the next, {best.expression}, {force_left(best.left_out)}."
+        )
+
+
+ALMOST = 3.0
+"""A law that leaves less than this multiple of the excess of the best one fits almost as well."""
+LEAST_EXCESS = 0.01
+"""The best excess counts as this much at least: below it, windows differ by chance."""
+
+
+def force_left(misfit: float) -> str:
+    """The error that a law leaves, in multiples of the noise."""
+    return f"{misfit**0.5:.3g}"
+
+
 CONFIDENCE = {
     "sure": "Sure: it would be significant even if a fiftieth of the forces were something else.",
     "likely": "Likely: it is significant, and runs that were left out are predicted better with it.",

@@ -8,7 +8,7 @@ from snakejax.diagnosis.explanation import Explanation
 from snakejax.diagnosis.latent_force.missing_force import LatentForce
 from snakejax.estimation.uncertainty import Estimate
 
-from .certainty import confidence_sentences
+from .certainty import confidence_sentences, law_sentences
 from .errors import error_text
 from .missing import components_text
 from .tables import NOT_CONVERGED, error, number
@@ -45,9 +45,11 @@ def _causes(explanation: Explanation) -> Iterator[str]:
         yield UNDECIDED
         if explanation.missing is not None:
             yield _missing(explanation.missing)
-        if explanation.effects:
-            yield f"Still significant beside the missing force: {listed(explanation.effects)}."
-    for effect in explanation.partial if explanation.verdict == "unexplained" else explanation.effects:
+        known = tuple(effect for effect in explanation.effects if effect not in explanation.named_laws)
+        if known:
+            yield f"Still significant beside the missing force: {listed(known)}."
+    told = (*explanation.partial, *explanation.named_laws)
+    for effect in told if explanation.verdict == "unexplained" else explanation.effects:
         helped = "Lowers the error: " if explanation.verdict == "unexplained" else ""
         values = values_text(final.estimates_of(effect))
         yield f"{helped}{effect}: {final.description_of(effect)} {values}".rstrip() + doubt
@@ -84,6 +86,7 @@ def _certainty(explanation: Explanation) -> Iterator[str]:
         yield f"No effect is missing: {noise if explanation.floor is not None else 'only noise is left'}."
     elif explanation.verdict == "unexplained":
         yield "Not: the values are those of a model that lacks something."
+    yield from law_sentences(explanation)
     several = len(explanation.confidence) > 1
     for effect in explanation.confidence:
         told = " ".join(confidence_sentences(explanation, effect))

@@ -84,6 +84,11 @@ def explanation_page(found: Explanation, result: Json, models: Sequence[ModelVie
         if found.missing.depends_on and found.missing.shape is not None:
             charts.insert(0, figures.shape(found.missing, found.missing.depends_on[0][0], models[0]))
         parts.append(sections.missing(result, components_text(found.missing), charts))
+    elif found.law is not None:
+        charts = figures.missing(found.law)
+        if found.law.depends_on and found.law.shape is not None:
+            charts.insert(0, figures.shape(found.law, found.law.depends_on[0][0], models[0]))
+        parts.append(sections.law(found, components_text(found.law), charts))
     if found.confidence or found.candidates:
         said = [f"{effect}: {' '.join(confidence_sentences(found, effect))}" for effect in found.confidence]
         beside = (floor_sentences, horizon_sentences, band_sentences, odd_run_sentences)

@@ -2,7 +2,10 @@
 
 from collections.abc import Iterator, Sequence
 
+from snakejax.diagnosis.explanation import Explanation
+
 from ..as_json.values import Json
+from ..as_text.certainty import law_sentences
 from ..as_text.columns import CHANNELS, ERROR, HEADING, POSITION, of_heldout
 from ..as_text.errors import milli_text
 from ..views import ModelView, doubt
@@ -159,6 +162,17 @@ def tyre(models: Sequence[ModelView]) -> Section:
         " the line: the tyre law does not fit there."
     )
     return Section("tyre", "Lateral force against slip", (text,), (figures.tyre(models),))
+
+
+def law(found: Explanation, size: str, charts: Sequence[figures.Chart]) -> Section:
+    """The force of which a law was found, its `size` in words, and the law."""
+    sentences = plain_sentences(
+        "No known effect brings the error down to the noise. This is the force that the base model lacks, along (X) and"
+        f" across (Y) the board and about its vertical (N), with 95% bands; its root mean square is {size}.",
+        *(f"{name}: {effect.expression}." for name, effect in found.named_laws.items()),
+        *law_sentences(found),
+    )
+    return Section("law", "The law of the missing force", sentences, tuple(charts), (), wide=False)
 
 
 def missing(result: Json, size: str, charts: Sequence[figures.Chart]) -> Section:
