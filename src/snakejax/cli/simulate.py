@@ -226,6 +226,7 @@ def _report(name: str, result: dict[str, Any]) -> Any:
     from rich.console import Group
     from rich.text import Text
 
+    from snakejax.present.as_json.values import EXPRESSION
     from snakejax.present.as_text.errors import times_noise_text
     from snakejax.present.as_text.tables import add_row, indented, not_converged_line, plain_table
 
@@ -239,6 +240,7 @@ def _report(name: str, result: dict[str, Any]) -> Any:
         f"{key} = {part['value']:.4g} {part['unit']}".removesuffix(" -")
         for parts in (base["parameters"], *base["effects"].values())
         for key, part in parts.items()
+        if key != EXPRESSION
     ]
     return Group(
         Text(name, style="bold"),

@@ -30,7 +30,7 @@ from .inexact.confidence import AMBIGUOUS, STAND_IN, SURE
 from .inexact.explaining import assess_effects, explanation_of, shares_of, supports
 from .inexact.steps import steps_of
 from .latent_force.missing_force import LatentForce, choose_structure
-from .law.adding import FIRST_LAW, best_law
+from .law.adding import FIRST_LAW, best_law, predicting_steps
 from .selection.acceptance import accept_structure, heldout_consistent
 from .selection.candidates import CandidateFit, CandidateSet
 from .selection.ranking import rank, significant
@@ -249,6 +249,9 @@ def _conclude(
         with_law = _with_law(case, noise, diagnosis, missing, progress)
         if with_law is not None:
             return _conclude_with_law(case, noise, diagnosis, with_law, missing)
+        working_steps = predicting_steps(working_steps, progress)
+        last, steps = working_steps[-1], tuple(step.record for step in working_steps)
+        final = steps[-1]
     coexisting = () if missing is None else missing.beside
     partial = tuple(name for name in final.effects if name not in coexisting)
     # A fit without the force gives the effects that act beside it values that are wrong by what the force does.

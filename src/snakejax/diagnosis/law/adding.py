@@ -20,6 +20,7 @@ from ..latent_force.missing_force import LatentForce
 from ..selection.acceptance import accept_addition
 from ..selection.candidates import BaseFit, CandidateFit, CandidateSet
 from ..selection.refit import CRAWL, refit
+from ..selection.working_step import WorkingStep
 from .search import ProposedLaw
 
 FIRST_LAW = "law_1"
@@ -78,6 +79,22 @@ def left_out_misfit(candidate_set: CandidateSet, fit: CandidateFit) -> float:
     return misfit if np.isfinite(misfit) else np.inf
 
 
+def expected_misfit(candidate_set: CandidateSet, fit: CandidateFit) -> float:
+    """The misfit of train runs that were left out; where the fit is far from the recordings, that of its own runs."""
+    near = fit.solution.misfit < candidate_set.criteria.far_misfit
+    return left_out_misfit(candidate_set, fit) if near else fit.solution.misfit
+
+
+def predicting_steps(steps: Sequence[WorkingStep], progress: Progress) -> list[WorkingStep]:
+    """The steps up to the one that predicts train runs left out best, so that none is kept that predicts them worse
+    than a step before it does."""
+    if len(steps) < 2:
+        return list(steps)
+    progress(ProgressEvent(Phase.PREDICTION, "does each step predict runs that were left out?"))
+    expected = [expected_misfit(step.candidate_set, step.step) for step in steps]
+    return list(steps[: int(np.argmin(expected)) + 1])
+
+
 def best_law(
     case: Case,
     noise: Noise,
@@ -93,6 +110,8 @@ def best_law(
     best: tuple[CandidateSet, CandidateFit] | None = None
     least = None
     for law in missing.laws[:TRIED]:
+        if len(base.solution.free) + len(beside) + len(law.parameters) > like.problem.width:
+            continue
         progress(ProgressEvent(Phase.LAW_FIT, f"fitting {law.expression} to whole runs"))
         try:
             candidate_set, fit = fitted_law(case, noise, like, effects, missing, law)
@@ -105,9 +124,7 @@ def best_law(
         # Far from the noise a linear model says nothing about runs left out.
         progress(ProgressEvent(Phase.PREDICTION, f"does {law.expression} predict runs that were left out?"))
         if least is None:
-            near = base.solution.misfit < like.criteria.linear_misfit
-            # Far from the recordings the misfit of its own fit stands for what the base would predict: it favours it.
-            least = left_out_misfit(like, base) if near else base.solution.misfit
+            least = expected_misfit(like, base)
         left = left_out_misfit(candidate_set, fit)
         if left < least:
             best, least = (candidate_set, fit), left

@@ -11,7 +11,6 @@ from snakejax.diagnosis.explanation import Explanation, PoseError, Remainder, Tr
 from snakejax.diagnosis.latent_force.missing_force import RunForce
 from snakejax.diagnosis.residuals.horizon import horizon_errors
 from snakejax.diagnosis.selection.steps import CandidateScore, SelectionStep
-from snakejax.dynamics.law import Law
 from snakejax.estimation.uncertainty import Estimate
 from snakejax.recording.run import Case, Noise
 
@@ -19,8 +18,8 @@ from ..as_text.columns import ERROR, HEADING, POSITION, narrow, of_heldout
 from ..as_text.errors import error_text, milli_text, times_noise_text
 from ..as_text.tables import NOT_CONVERGED, add_row, not_converged_line, plain_table
 from .provenance import constraint_kind, heading_json, model_kind, vehicle_json
-from .saved import EXPRESSION
 from .values import (
+    EXPRESSION,
     Json,
     all_parameters_json,
     clean,
@@ -141,10 +140,9 @@ def _tyre(step: SelectionStep) -> dict[str, Json]:
 
 
 def _effects(step: SelectionStep) -> Json:
-    """{effect: {parameter: estimate or fixed value}} of all effects in the model; of a law its expression too."""
+    """{effect: {parameter: estimate or fixed value}} of all effects in the model."""
     parts = effects_json(all_parameters_json(step.model, step.estimates), step.model)
-    laws = {name: {EXPRESSION: e.expression} for name, e in step.model.effects.items() if isinstance(e, Law)}
-    return {effect: parts.get(effect, {}) | laws.get(effect, {}) for effect in step.effects}
+    return {effect: parts.get(effect, {}) for effect in step.effects}
 
 
 def step_json(step: SelectionStep) -> Json:

@@ -11,8 +11,7 @@ from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.dynamics.kinds import MODEL_KINDS, STRUCTURES
 from snakejax.dynamics.law import Law, law
 
-EXPRESSION = "expression"
-"""The key beside the parameters of a law."""
+from .values import EXPRESSION
 
 
 class SavedFit(NamedTuple):

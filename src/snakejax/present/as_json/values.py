@@ -13,11 +13,14 @@ from typing import Any
 import numpy as np
 
 from snakejax.core.parameter import parameters
+from snakejax.dynamics.law import Law
 from snakejax.dynamics.model import Model
 from snakejax.estimation.goodness_of_fit import RunScore, Score
 from snakejax.estimation.uncertainty import Estimate
 
 Json = dict[str, Any]
+EXPRESSION = "expression"
+"""The key of the formula of a law, beside its parameters."""
 
 
 def clean(value: Any) -> Any:
@@ -86,12 +89,15 @@ def parameters_json(parts: Mapping[str, Json]) -> Json:
 
 
 def effects_json(parts: Mapping[str, Json], model: Model) -> Json:
-    """Those of `all_parameters_json` that belong to effects: {effect: {parameter: ...}}."""
+    """Those of `all_parameters_json` of effects: {effect: {parameter: ...}}, and the `EXPRESSION` of laws."""
     grouped: Json = {name: {} for name in model.effects}
     for name, part in parts.items():
         if name.startswith("effects."):
             _, effect, parameter = name.split(".", 2)
             grouped[effect][parameter] = part
+    for name, effect in model.effects.items():
+        if isinstance(effect, Law):
+            grouped[name][EXPRESSION] = effect.expression
     return grouped
 
 

@@ -13,7 +13,7 @@ from snakejax.dynamics.tyres import Pacejka, Rayleigh
 from snakejax.estimation.fitted_model import FittedModel
 from snakejax.estimation.initial_model import starting_tyre
 
-from ..as_json.values import Json
+from ..as_json.values import EXPRESSION, Json
 from ..as_text.tables import bounds_text, clipped, error, named, number
 from ..views import doubt
 from .chart import Chart, plain, text
@@ -39,7 +39,8 @@ def parameters(result: Json, fitted: Sequence[FittedModel], advice: Sequence[str
         known = origins(one.model)
         rows = list(parameter_rows(part["parameters"], f"{key}.parameters", known=known))
         for effect, values in (part.get("effects") or {}).items():
-            rows += parameter_rows(values, f"{key}.effects.{effect}", f"{effect}.", known)
+            numbers = {name: value for name, value in values.items() if name != EXPRESSION}
+            rows += parameter_rows(numbers, f"{key}.effects.{effect}", f"{effect}.", known)
         caption = {"base": "The base model", "final": "The final model"}[key] if len(parts) > 1 else "Parameters"
         tables.append(table(caption + doubt(part["converged"]), (*PARAMETER_COLUMNS, "#default start", "bounds"), rows))
     if result.get("combinations"):
