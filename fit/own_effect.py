@@ -5,6 +5,7 @@
 writes figures, and the file with the effect, into FOLDER (default `docs/gallery`).
 """
 
+import dataclasses
 import sys
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import snakejax as sj
 
 sj.prepare_jax()
 
+from snakejax.diagnosis.law.source import law_source  # noqa: E402
 from snakejax.effects import LIBRARY  # noqa: E402
 from snakejax.present import plot  # noqa: E402
 from snakejax.present.as_text.errors import error_text  # noqa: E402
@@ -19,37 +21,36 @@ from snakejax.present.as_text.errors import error_text  # noqa: E402
 DATA = Path(__file__).resolve().parents[1] / "data"
 
 
-def main(folder: Path) -> tuple[sj.Explanation, sj.Explanation]:
-    """The walk, step by step; returns what the library explains, and what the effect of one's own does."""
+def main(folder: Path) -> tuple[sj.Explanation, sj.Fit]:
+    """The walk, step by step; returns what `explain` finds, and the fit with the effect of one's own."""
     case = sj.load_case(DATA / "spring-board")
     noise = sj.noise_of(case)
     candidates = {name: kind() for name, kind in LIBRARY.items()}
 
-    # 1. No known effect explains the recording. The force that is missing is estimated instead, and what it depends on.
-    before = sj.diagnosis.explain(case, noise, candidates)
-    assert before.missing is not None
-    print(f"{before.verdict}, error {error_text(before.final.train)}; the missing force depends on")
-    for variable, share in before.missing.depends_on[:3]:
+    # 1. No known effect explains the recording. The force that is missing is estimated, and its law is looked for.
+    found = sj.diagnosis.explain(case, noise, candidates)
+    assert found.law is not None
+    print(f"{found.verdict}, error {error_text(found.final.train)}; the missing force depends on")
+    for variable, share in found.law.depends_on[:3]:
         print(f"  {variable}: {100 * share:.0f} % of what is left")
-    plot.save(plot.missing(before), folder, "missing")
+    plot.save(plot.missing(dataclasses.replace(found, missing=found.law)), folder, "missing")
+    plot.save(plot.fall(found), folder, "own_fall")
 
-    # 2. That is a file to start from: a class of some 20 lines, its values those just found. Here it is used as it is.
+    # 2. The law is a file to go on from: a class of some 20 lines, its values those just found.
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / "missing_force.py"
-    file.write_text(sj.effect_template(before.missing))
+    file.write_text(law_source(found.named_laws["law_1"]))
     print(file.read_text())
 
-    # 3. It competes with those that had helped, and explains the recording.
+    # 3. As an effect of one's own it gives the same model.
     sys.path.insert(0, str(folder))
     from missing_force import MissingForce
 
-    rivals = {name: candidates[name] for name in before.partial}
-    after = sj.diagnosis.explain(case, noise, {**rivals, "missing_force": MissingForce()})
-    print(f"{after.verdict}: {', '.join(after.effects)}, error {error_text(after.final.train)}")
-    for name, estimate in after.final.estimates.items():
+    model = found.final.model.without("law_1").add(missing_force=MissingForce())
+    fit = sj.estimation.fit(model, case.runs, noise)
+    for name, estimate in fit.estimates.items():
         print(f"  {name} = {estimate.value:.5g} +- {estimate.sd:.2g} {estimate.unit}")
-    plot.save(plot.fall(after), folder, "own_fall")
-    return before, after
+    return found, fit
 
 
 if __name__ == "__main__":

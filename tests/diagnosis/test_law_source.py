@@ -34,7 +34,7 @@ def test_the_file_acts_as_the_law_does(name: str, tmp_path: Path) -> None:
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    written = module.MissingForce(**values)
+    written = module.MissingForce()
     assert {n: p.domain.unit for n, p in parameters(written).items()} == {n: unit for n, (unit, _) in given.items()}
     base = Model(Board(**TABLE_II, creep_speed=0.01), Pacejka(B=7.0, C=1.4, D=5.0, E=0.0), "free")
     gait = Gait(*(Tracked(Sines.of([[size, 4.0, 0.0]]), kp=100.0, kd=10.0) for size in (0.9, 1.6)))

@@ -25,14 +25,19 @@ def test_the_hidden_effect_is_found_and_explains_the_recording(hidden_effect, st
     assert (study_folder / "fall.png").stat().st_size > 10_000
 
 
-def test_an_effect_of_ones_own_explains_what_no_library_holds(own_effect):
-    """`spring-board` was pulled by a spring of 0.15 N/m to a point fixed in the world."""
-    before, after = own_effect
-    assert before.verdict == "unexplained" and before.effects == ()
-    assert before.missing.depends_on[0][0] == "world_position"
-    assert (after.verdict, after.effects) == ("explained", ("missing_force",))
-    assert after.final.train.misfit <= 1.05 and after.final.heldout.misfit <= 1.10
-    assert before.base.train.misfit > 100 * after.final.train.misfit
+def test_the_law_of_what_no_library_holds_is_found_and_is_the_same_as_an_effect_of_ones_own(own_effect):
+    """`spring-board` was pulled by a spring of 0.15 N/m to the point (0.5, 0.8) m of the world."""
+    found, fit = own_effect
+    assert (found.verdict, found.effects) == ("explained", ("law_1",))
+    assert found.law.depends_on[0][0] == "world_position"
+    assert found.named_laws["law_1"].expression == "east = k * (x0 - x); north = k * (y0 - y)"
+    for name, truth in (("k", 0.15), ("x0", 0.5), ("y0", 0.8)):
+        estimate = found.final.estimates[f"effects.law_1.{name}"]
+        assert abs(estimate.value - truth) < 4 * estimate.sd
+        own = fit.estimates[f"effects.missing_force.{name}"]
+        assert abs(own.value - estimate.value) < 0.5 * estimate.sd
+    assert found.final.train.misfit <= 1.05 and found.final.heldout.misfit <= 1.10
+    assert found.base.train.misfit > 100 * found.final.train.misfit
 
 
 @pytest.mark.parametrize("study", ["hidden_effect", "own_effect"])

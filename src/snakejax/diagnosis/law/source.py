@@ -19,11 +19,9 @@ _OF_WHEEL = {
 def law_source(law: Law, beside: Sequence[str] = ()) -> str:
     """A Python file with the effect `MissingForce`, which is `law`; `beside`: the other effects of its model.
 
-    Its amplitudes are zero by default, so that it changes nothing before it is fitted; the values found stand in its
-    docstring.
+    Its defaults are the values found, so that a fit goes on from there.
     """
     fields = [(name, value, domain) for name, (value, domain) in own_parameters(law)]
-    defaults = {name: float(getattr(type(law)(), name)) for name, _, _ in fields}
     names = dict.fromkeys(name for tree in law.formulas.values() for name in names_in(tree))
     known = {name for name, _, _ in fields}
     lines = [f"{name} = {_variable(name)}" for name in names if name not in known]
@@ -36,16 +34,14 @@ def law_source(law: Law, beside: Sequence[str] = ()) -> str:
         method, port = "wrench(self, motion)", "Force"
         lines += _returned(law)
     declared = "\n".join(
-        f'    {name}: sj.Scalar = sj.param("{domain.unit}", default={defaults[name]!r})' for name, _, domain in fields
+        f'    {name}: sj.Scalar = sj.param("{domain.unit}", default={float(value)!r})' for name, value, domain in fields
     )
     body = "\n".join(f"        {line}" for line in lines)
     effects = "".join(f" --with {name}" for name in beside if name != LATERAL_SLIP_SWITCH)
     skid = " --skid free" if LATERAL_SLIP_SWITCH in beside else ""
-    values = ",".join(f"{name}={float(value):.10g}" for name, value, _ in fields)
     return f'''"""The law that `snakejax explain` found: {law.expression}
 
-Fit it:        snakejax fit CASE{skid}{effects} --with THIS_FILE.py:MissingForce
-As it is:      snakejax fit CASE{skid}{effects} --with THIS_FILE.py:MissingForce:{values}
+Fit it:  snakejax fit CASE{skid}{effects} --with THIS_FILE.py:MissingForce
 """
 
 import jax.numpy as jnp
