@@ -312,17 +312,24 @@ def pairs(results: Results) -> None:
         results.once("pairs", str(board), work)
 
 
+def lacking(found: Explanation) -> tuple[tuple[str, float], ...]:
+    """The first two variables on which the missing force depends, with their shares; its law may have been found."""
+    force = found.missing or found.law
+    return force.depends_on[:2] if force else ()
+
+
 def strangers(results: Results) -> None:
-    for k, (name, (effect, variable)) in enumerate(boards.STRANGERS.items()):
+    for k, (name, (effect, variable)) in enumerate({**boards.STRANGERS, **boards.MORE_STRANGERS}.items()):
         for constraint in boards.STRUCTURES:
 
             def work(k=k, constraint=constraint, name=name, effect=effect, variable=variable) -> dict[str, Any]:
                 made = boards.make_long(5000 + k, constraint)
                 found, kept = answered(boards.case(made, 5000 + k, **{name: effect}))
-                depends = found.missing and found.missing.depends_on[:2]
-                right = found.verdict == "unexplained" and bool(depends) and depends[0][0] == variable
+                depends, laws = lacking(found), [law.expression for law in found.named_laws.values()]
+                named = found.verdict == "unexplained" or bool(laws)
+                right = named and bool(depends) and depends[0][0] == variable
                 truth = {"skid": constraint, "effect": name, "variable": variable}
-                return {**truth, **kept, "depends_on": depends, "right": right}
+                return {**truth, **kept, "depends_on": depends, "laws": laws, "right": right}
 
             results.once("strangers", f"{constraint} {name}", work)
 
@@ -349,8 +356,8 @@ def mixed(results: Results) -> None:
             made = boards.make_long(7000 + k, constraint)
             both = {name: effect, other: with_effect(other, SIZES[other])}
             found, kept = answered(boards.case(made, 7000 + k, **both))
-            depends = found.missing and found.missing.depends_on[:2]
-            named = found.verdict == "unexplained" and found.effects == (other,)
+            depends = lacking(found)
+            named = tuple(effect for effect in found.effects if effect not in found.named_laws) == (other,)
             right = named and bool(depends) and depends[0][0] == variable
             truth = {
                 "skid": constraint,

@@ -27,6 +27,7 @@ from snakejax import (
     param,
     simulate,
 )
+from snakejax.dynamics.law import law
 from snakejax.estimation.batch import stacked_gaits
 
 NOISE = Noise(4e-4, 2.5e-3, "given")
@@ -244,3 +245,31 @@ STRANGERS = {
     "kick": (Kick(0.05), "steering_rate"),
 }
 """Effects that no library holds, and the variable on which each depends."""
+
+
+def _law(expression: str, **parameters: tuple[float, str]) -> Effect:
+    """A law as text, with the value and the unit of each parameter."""
+    units = {name: unit for name, (_, unit) in parameters.items()}
+    return law(expression, units, {name: value for name, (value, _) in parameters.items()})
+
+
+_MOUND = "exp(-((x - 0.4) ** 2 + (y - 0.1) ** 2) / 0.3 ** 2)"
+_STICKING = "(1 + exp(-(speed / 0.1) ** 2))"
+MORE_STRANGERS = {
+    "washboard": (_law("east = a * sin(9 * x)", a=(0.3, "N")), "world_position"),
+    "across": (_law("X = -c * r * w; Y = c * r * u", c=(1.0, "N s^2/(m rad)")), "yaw_rate"),
+    "rotor_grip": (_law("grip = 1 - a * abs(rotor_rate)", a=(0.05, "s/rad")), "rotor_rate"),
+    "dead_spot": (_law("N = -a * exp(-((rotor_angle - 0.5) / 0.3) ** 2)", a=(0.02, "N m")), "rotor_angle"),
+    "mound": (_law(f"X = -a * u * {_MOUND}; Y = -a * w * {_MOUND}", a=(4.0, "N s/m")), "world_position"),
+    "groove": (_law("north = -k * (y - y0)", k=(0.3, "N/m"), y0=(0.2, "m")), "world_position"),
+    "rope": (_law("N = -k * (rotor_angle + steering_angle)", k=(0.01, "N m/rad")), "rotor_angle"),
+    "tilting_wind": (_law("east = a * sin(0.8 * time); north = a * cos(0.8 * time)", a=(0.15, "N")), "time"),
+    "stick_slip": (
+        _law(f"X = -a * tanh(u / 0.05) * {_STICKING}; Y = -a * tanh(w / 0.05) * {_STICKING}", a=(0.15, "N")),
+        "speed",
+    ),
+    "twist": (_law("N = a * steering_rate", a=(0.01, "N m s/rad")), "steering_rate"),
+    "lift": (_law("grip = 1 - a * cos(2 * heading)", a=(0.3, "-")), "heading"),
+    "pull": (_law("X = a * steering_angle * rotor_angle", a=(0.3, "N/rad^2")), "steering_angle"),
+}
+"""Twelve more, as laws that a formula gives."""

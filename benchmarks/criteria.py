@@ -107,12 +107,14 @@ def told(truth: Truth, **criteria: float) -> dict[str, Any]:
     """What `explain` tells of a board, and whether it is right."""
     READ.clear()
     explanation = explain(truth.case, boards.NOISE, CANDIDATES, criteria=Watched(*CRITERIA._replace(**criteria)))
-    missing = explanation.missing
+    missing = explanation.missing or explanation.law
     variable = missing.depends_on[0][0] if missing and missing.depends_on else None
     alike = {r.effect: r.confusable_with for r in explanation.final.ranking or explanation.base.ranking}
     found = all(any(e == f or e in alike.get(f, ()) for f in explanation.effects) for e in truth.effects)
+    known = [effect for effect in explanation.effects if effect not in explanation.named_laws]
     verdict = "unexplained" if truth.variable else "explained" if truth.effects else "adequate"
-    right = explanation.verdict == verdict and found and len(explanation.effects) == len(truth.effects)
+    as_it_is = explanation.verdict == verdict or bool(truth.variable and explanation.named_laws)
+    right = as_it_is and found and len(known) == len(truth.effects)
     return {
         "verdict": explanation.verdict,
         "effects": list(explanation.effects),
