@@ -92,7 +92,7 @@ def test_the_law_that_made_the_force_comes_first(name: str) -> None:
     assert units == {part: unit for part, (_, unit) in values.items()}
     for part, (value, _) in values.items():
         assert first.values[part] == pytest.approx(value, rel=0.05)
-    assert first.left_out < 1.05
+    assert first.left_out < 1.05 and first.share > 0.95
 
 
 def test_noise_has_no_law() -> None:

@@ -89,8 +89,9 @@ def work(options: argparse.Namespace, case: Any, say: Progress) -> Outcome:
             write_whole(folder / "candidates.csv", candidates_csv(explanation))
         films(options, models[-1], case.board, folder, say)
         beside = [effect for effect in explanation.final.effects if effect not in explanation.named_laws]
-        for law in explanation.named_laws.values():
-            write_whole(folder / "missing_force.py", law_source(law, beside))
+        for k, law in enumerate(explanation.named_laws.values()):
+            name = f"missing_force_{k + 1}.py" if k else "missing_force.py"
+            write_whole(folder / name, law_source(law, beside))
         if explanation.missing is None:
             return
         plot.save(plot.missing(explanation), folder, "explain-missing")

@@ -30,7 +30,7 @@ from .inexact.confidence import AMBIGUOUS, STAND_IN, SURE
 from .inexact.explaining import assess_effects, explanation_of, shares_of, supports
 from .inexact.steps import steps_of
 from .latent_force.missing_force import LatentForce, choose_structure
-from .law.adding import FIRST_LAW, best_law, predicting_steps
+from .law.adding import best_laws, predicting_steps
 from .selection.acceptance import accept_structure, heldout_consistent
 from .selection.candidates import CandidateFit, CandidateSet
 from .selection.ranking import rank, significant
@@ -246,9 +246,9 @@ def _conclude(
     missing = None
     if len(last.candidate_set.train) > 1:
         missing = _latent_force(diagnosis, last, progress)
-        with_law = _with_law(case, noise, diagnosis, missing, progress)
-        if with_law is not None:
-            return _conclude_with_law(case, noise, diagnosis, with_law, missing)
+        with_laws = _with_laws(case, noise, diagnosis, last, missing, progress)
+        if with_laws:
+            return _conclude_with_law(case, noise, diagnosis, with_laws, missing)
         working_steps = predicting_steps(working_steps, progress)
         last, steps = working_steps[-1], tuple(step.record for step in working_steps)
         final = steps[-1]
@@ -261,18 +261,18 @@ def _conclude(
     return Explanation(case, noise, steps, "unexplained", coexisting, partial, left_out, missing)
 
 
-def _with_law(
-    case: Case, noise: Noise, diagnosis: BaseDiagnosis, missing: LatentForce, progress: Progress
-) -> list[WorkingStep] | None:
-    """The steps to the model with the law of the missing force; None where no law predicts runs left out."""
-    base = diagnosis.base
-    like, before = base.candidate_set, base.step
-    steps: list[WorkingStep] = []
+def _with_laws(
+    case: Case, noise: Noise, diagnosis: BaseDiagnosis, last: WorkingStep, missing: LatentForce, progress: Progress
+) -> list[WorkingStep]:
+    """The steps to the model with the laws of the missing force; none where no law predicts runs left out."""
+    like, steps = diagnosis.base, []
     if missing.switched and diagnosis.switched is not None:
-        like, before = diagnosis.switched
-        steps.append(selection_step(like, "added", LATERAL_SLIP_SWITCH, before))
-    found = best_law(case, noise, like, before, missing, progress)
-    return None if found is None else [*steps, selection_step(found[0], "added", FIRST_LAW, found[1])]
+        like = selection_step(diagnosis.switched[0], "added", LATERAL_SLIP_SWITCH, diagnosis.switched[1])
+        steps.append(like)
+    found = best_laws(case, noise, like, last, missing, progress)
+    for added in found:
+        steps.append(selection_step(added.candidate_set, "added", added.names[-1], added.fit))
+    return steps if found else []
 
 
 def _conclude_with_law(

@@ -65,9 +65,16 @@ class LatentForce(Tabular):
         return min([1 + (self.misfit[0] - 1) * (1 - best), *(law.left_out for law in self.laws)])
 
     def with_laws(self) -> "LatentForce":
-        """This force with the laws that predict it on runs left out."""
-        enough = self.windows is not None and len(self.runs) > 1
-        return dataclasses.replace(self, laws=search(self.windows)) if enough else self
+        """This force with the laws that predict it on runs left out, and the shares of their variables."""
+        if self.windows is None or len(self.runs) < 2:
+            return self
+        laws, shares = search(self.windows), dict(self.depends_on)
+        for k, law in enumerate(laws):
+            # A law of two variables says what they explain together, so it counts for both only where it is the best.
+            for variable in law.variables if k == 0 or len(law.variables) == 1 else ():
+                shares[variable] = max(shares.get(variable, 0.0), law.share)
+        depends_on = tuple(sorted(shares.items(), key=lambda pair: -pair[1]))
+        return dataclasses.replace(self, laws=laws, depends_on=depends_on)
 
     @property
     def size(self) -> tuple[float, float]:

@@ -2,6 +2,7 @@
 
 from collections import OrderedDict
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,11 +22,34 @@ from ..selection.acceptance import accept_addition
 from ..selection.candidates import BaseFit, CandidateFit, CandidateSet
 from ..selection.refit import CRAWL, refit
 from ..selection.working_step import WorkingStep
-from .search import ProposedLaw
+from .search import ProposedLaw, search
 
-FIRST_LAW = "law_1"
 TRIED = 3
 """So many of the laws that the windows propose are fitted to whole runs."""
+SECOND = 0.5
+"""A second law is looked for beside the first where it leaves less than this share of the excess of the windows."""
+LEAST_EXCESS = 0.02
+"""Where the first law leaves less excess than this in the windows, no second one is looked for."""
+
+
+class AddedLaws(NamedTuple):
+    """The `laws` fitted to whole train runs: `fit` in `candidate_set`, and the misfit that it leaves of train runs that
+    were left out."""
+
+    laws: tuple[ProposedLaw, ...]
+    candidate_set: CandidateSet
+    fit: CandidateFit
+    left_out: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the laws as effects."""
+        return law_names(len(self.laws))
+
+
+def law_names(count: int) -> tuple[str, ...]:
+    """`law_1`, `law_2`, ..."""
+    return tuple(f"law_{k + 1}" for k in range(count))
 
 
 def candidate_set_with(
@@ -43,23 +67,26 @@ def candidate_set_with(
     return CandidateSet.of(model, case, noise, library, like.switched, like.criteria, how)
 
 
-def fitted_law(
-    case: Case, noise: Noise, like: CandidateSet, effects: Sequence[str], missing: LatentForce, law: ProposedLaw
+def fitted_laws(
+    case: Case,
+    noise: Noise,
+    like: CandidateSet,
+    effects: Sequence[str],
+    missing: LatentForce,
+    laws: Sequence[ProposedLaw],
 ) -> tuple[CandidateSet, CandidateFit]:
-    """The model with `effects` and `law` fitted to whole train runs, from where the windows have it."""
-    effect = law_class(law.expression, law.parameters)()
-    candidate_set = candidate_set_with(case, noise, like, effects, {FIRST_LAW: effect})
-    values = candidate_set.problem.values()
-    known = parameters(candidate_set.problem.model)
-    for (name, estimate), step in zip(missing.estimates.items(), law.steps, strict=True):
+    """The model with `effects` and `laws` fitted to whole train runs, from where the windows have it."""
+    named = dict(zip(law_names(len(laws)), laws, strict=True))
+    built: dict[str, Effect] = {n: law_class(law.expression, law.parameters)() for n, law in named.items()}
+    candidate_set = candidate_set_with(case, noise, like, effects, built)
+    values, known = candidate_set.problem.values(), parameters(candidate_set.problem.model)
+    for (name, estimate), step in zip(missing.estimates.items(), laws[-1].steps, strict=True):
         if name in values:
             domain = known[name].domain
-            moved = domain.moved(
-                estimate.value, float(np.clip(step, -0.5, 0.5)) if domain.multiplicative else float(step)
-            )
+            moved = domain.moved(estimate.value, float(np.clip(step, -0.5, 0.5) if domain.multiplicative else step))
             values[name] = float(np.clip(moved, domain.low, domain.high))
-    values |= {f"effects.{FIRST_LAW}.{name}": value for name, value in law.values.items()}
-    names = (*effects, FIRST_LAW)
+    values |= {f"effects.{n}.{part}": value for n, law in named.items() for part, value in law.values.items()}
+    names = (*effects, *named)
     solution = refit(candidate_set, names, values)
     if solution.misfit < candidate_set.criteria.linear_misfit:
         solution = continue_to_convergence(candidate_set.problem, solution, candidate_set.train)
@@ -95,37 +122,56 @@ def predicting_steps(steps: Sequence[WorkingStep], progress: Progress) -> list[W
     return list(steps[: int(np.argmin(expected)) + 1])
 
 
-def best_law(
-    case: Case,
-    noise: Noise,
-    like: CandidateSet,
-    base: CandidateFit,
-    missing: LatentForce,
-    progress: Progress,
-) -> tuple[CandidateSet, CandidateFit] | None:
-    """The best of the first few laws of `missing` on whole train runs, beside the effects that survive beside the
-    force; None where none predicts train runs it has not seen better than `base` does."""
+def best_laws(
+    case: Case, noise: Noise, like: WorkingStep, last: WorkingStep, missing: LatentForce, progress: Progress
+) -> list[AddedLaws]:
+    """The best of the first few laws of `missing` on whole train runs, added to `like` beside the effects that survive
+    beside the force; then the same with a second law where that predicts train runs left out better yet.
+
+    None where no law predicts them better than `like` and `last` do.
+    """
     beside = tuple(name for name in missing.beside if name != LATERAL_SLIP_SWITCH)
-    effects = tuple(dict.fromkeys((*base.effects, *beside)))
-    best: tuple[CandidateSet, CandidateFit] | None = None
-    least = None
-    for law in missing.laws[:TRIED]:
-        if len(base.solution.free) + len(beside) + len(law.parameters) > like.problem.width:
-            continue
-        progress(ProgressEvent(Phase.LAW_FIT, f"fitting {law.expression} to whole runs"))
+    effects = tuple(dict.fromkeys((*like.step.effects, *beside)))
+
+    def added(laws: tuple[ProposedLaw, ...]) -> AddedLaws | None:
+        count = len(like.candidate_set.free(effects)) + sum(len(law.parameters) for law in laws)
+        if count > like.candidate_set.problem.width:
+            return None
+        told = " and ".join(law.expression for law in laws)
+        progress(ProgressEvent(Phase.LAW_FIT, f"fitting {told} to whole runs"))
         try:
-            candidate_set, fit = fitted_law(case, noise, like, effects, missing, law)
+            candidate_set, fit = fitted_laws(case, noise, like.candidate_set, effects, missing, laws)
         except FitError:
-            continue
-        if not fit.solution.misfit < base.solution.misfit:
-            continue
-        if consistent_with_noise(fit.solution) and accept_addition(candidate_set, base, fit):
-            return candidate_set, fit
+            return None
+        if not fit.solution.misfit < like.step.solution.misfit:
+            return None
+        if consistent_with_noise(fit.solution) and accept_addition(candidate_set, like.step, fit):
+            return AddedLaws(laws, candidate_set, fit, fit.solution.misfit)
         # Far from the noise a linear model says nothing about runs left out.
-        progress(ProgressEvent(Phase.PREDICTION, f"does {law.expression} predict runs that were left out?"))
-        if least is None:
-            least = expected_misfit(like, base)
-        left = left_out_misfit(candidate_set, fit)
-        if left < least:
-            best, least = (candidate_set, fit), left
-    return best
+        progress(ProgressEvent(Phase.PREDICTION, f"does {told} predict runs that were left out?"))
+        return AddedLaws(laws, candidate_set, fit, left_out_misfit(candidate_set, fit))
+
+    best = None
+    for law in missing.laws[:TRIED]:
+        trial = added((law,))
+        if trial is not None and (best is None or trial.left_out < best.left_out):
+            best = trial
+        if best is not None and consistent_with_noise(best.fit.solution):
+            return [best]
+    if best is None:
+        return []
+    second = _second(missing, best.laws[0], progress)
+    both = None if second is None else added((best.laws[0], second))
+    path = [best] if both is None or not both.left_out < best.left_out else [best, both]
+    rivals = [like] if last is like else [like, last]
+    least = min(expected_misfit(step.candidate_set, step.step) for step in rivals)
+    return path if path[-1].left_out < least else []
+
+
+def _second(missing: LatentForce, first: ProposedLaw, progress: Progress) -> ProposedLaw | None:
+    """The law that acts beside the `first`; None where it takes away too little."""
+    if missing.windows is None or first.left_out - 1 < LEAST_EXCESS:
+        return None
+    progress(ProgressEvent(Phase.LAW_SEARCH, "searching for a second law"))
+    found = search(missing.windows, [(first.family, first.shape)])
+    return found[0] if found and found[0].left_out - 1 < SECOND * (first.left_out - 1) else None

@@ -26,11 +26,20 @@ KEPT = 6
 """So many laws are told."""
 
 
+GENERAL = {
+    **{"x": "world_position", "y": "world_position", "u": "speed", "w": "speed", "theta": "heading"},
+    **{"slip_speed": "slip", "slip_angle": "slip"},
+}
+"""How results name a variable of the grammar, where they do not name it as the grammar does."""
+UNNAMED = ("r",)
+
+
 class ProposedLaw(NamedTuple):
     """A law that the windows propose: `expression` with `parameters`, its default values those found.
 
     `left_out`: the misfit that it leaves on runs it was not fitted to; `score`: chi^2 there and what its parameters and
-    the choice among all forms cost; `steps` (P,): how the other parameters move with it.
+    the choice among all forms cost; `steps` (P,): how the other parameters move with it; `share`: of what is above the
+    noise there without a law, the part that it takes away.
     """
 
     expression: str
@@ -41,6 +50,12 @@ class ProposedLaw(NamedTuple):
     left_out: float
     score: float
     steps: np.ndarray
+    share: float = 1.0
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """The variables on which it depends, as results name them; none for those that have no such name."""
+        return tuple(dict.fromkeys(GENERAL.get(name, name) for name in self.family.variables if name not in UNNAMED))
 
 
 class _Trial(NamedTuple):
@@ -73,7 +88,9 @@ def search(windows: ForceWindows, beside: Sequence[tuple[Family, np.ndarray]] = 
         variance = max(1.0, trial.left_out / windows.samples)
         score = trial.left_out + cost * variance * trial.family.size
         if score < nothing.left_out:
-            law = _proposed(trial, windows.samples, score)
+            excess = max(nothing.left_out - windows.samples, 1e-9)
+            share = float(np.clip((nothing.left_out - trial.left_out) / excess, 0.0, 1.0))
+            law = _proposed(trial, windows.samples, score)._replace(share=share)
             if law.expression not in laws or score < laws[law.expression].score:
                 laws[law.expression] = law
     return tuple(sorted(laws.values(), key=lambda law: law.score)[:KEPT])

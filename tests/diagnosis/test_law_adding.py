@@ -1,0 +1,60 @@
+"""Which steps and laws are kept: those that predict train runs left out, and no step after the best."""
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from snakejax.core.progress import no_progress
+from snakejax.diagnosis.latent_force.missing_force import LatentForce
+from snakejax.diagnosis.law import adding
+from snakejax.diagnosis.law.grammar import Family
+from snakejax.diagnosis.law.search import ProposedLaw
+from snakejax.diagnosis.selection.criteria import CRITERIA
+
+
+def step(misfit: float) -> Any:
+    fit = SimpleNamespace(solution=SimpleNamespace(misfit=misfit))
+    return SimpleNamespace(candidate_set=SimpleNamespace(criteria=CRITERIA), step=fit)
+
+
+@pytest.mark.parametrize(
+    ("left_out", "kept"), [([9.0, 4.0, 2.0], 3), ([9.0, 4.0, 5.0], 2), ([9.0, 11.0, 10.0], 1), ([9.0], 1)]
+)
+def test_no_step_is_kept_after_the_one_that_predicts_best(left_out, kept, monkeypatch) -> None:
+    steps = [step(1.5) for _ in left_out]
+    told = {id(one.step): misfit for one, misfit in zip(steps, left_out, strict=True)}
+    monkeypatch.setattr(adding, "left_out_misfit", lambda candidate_set, fit: told[id(fit)])
+    assert adding.predicting_steps(steps, no_progress) == steps[:kept]
+
+
+def test_far_from_the_recordings_the_misfit_of_the_fit_stands_for_that_of_runs_left_out(monkeypatch) -> None:
+    monkeypatch.setattr(adding, "left_out_misfit", lambda candidate_set, fit: pytest.fail("is not to be refitted"))
+    far = step(2 * CRITERIA.far_misfit)
+    assert adding.expected_misfit(far.candidate_set, far.step) == 2 * CRITERIA.far_misfit
+
+
+def proposed(variables: tuple[str, ...], share: float, left_out: float = 1.5) -> ProposedLaw:
+    family, none = Family("", "X", variables, ()), np.zeros(0)
+    return ProposedLaw("X = a", (), {}, family, none, left_out, left_out, none, share)
+
+
+def test_laws_say_what_their_variables_explain(monkeypatch) -> None:
+    laws = (proposed(("x", "y"), 0.99), proposed(("rotor_rate",), 0.5), proposed(("heading", "time"), 0.4))
+    monkeypatch.setattr("snakejax.diagnosis.latent_force.missing_force.search", lambda windows: laws)
+    windows = cast(Any, object())
+    runs = cast(Any, (object(), object()))
+    shares = (("rotor_rate", 0.6), ("time", 0.3), ("world_position", 0.1))
+    force = LatentForce(runs, shares, None, (4.0, 1.0), {}, False, windows=windows).with_laws()
+    assert force.depends_on == (("world_position", 0.99), ("rotor_rate", 0.6), ("time", 0.3))
+    assert force.left == 1.0 + 3.0 * (1 - 0.99)
+
+
+@pytest.mark.parametrize(("second", "taken"), [(1.1, True), (1.4, False)])
+def test_a_second_law_must_take_away_half_of_what_the_first_leaves(second, taken, monkeypatch) -> None:
+    found = (proposed(("x",), 0.9, left_out=second),)
+    monkeypatch.setattr(adding, "search", lambda windows, beside: found)
+    force = cast(Any, SimpleNamespace(windows=object()))
+    assert (adding._second(force, proposed(("y",), 0.9, left_out=1.5), no_progress) is not None) is taken
+    assert adding._second(force, proposed(("y",), 0.9, left_out=1.01), no_progress) is None
