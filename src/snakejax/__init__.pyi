@@ -15,6 +15,7 @@ from .commands import diagnose as diagnose
 from .commands import explain as explain
 from .commands import fit as fit
 from .commands import load_model as load_model
+from .commands import predict as predict
 from .commands import tune as tune
 from .core import FitError as FitError
 from .core import InputError as InputError

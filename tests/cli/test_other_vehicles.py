@@ -3,17 +3,20 @@
 import json
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 from helpers.vehicle_case import steps, write_case
 
 import snakejax as sj
 from snakejax.cli import main
+from snakejax.commands import predict
 from snakejax.core.parameter import parameters
 from snakejax.dynamics.axle_tyres import FrontRear
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.tyres import Pacejka
 from snakejax.effects import library
+from snakejax.present.as_json.schema import schema_of
 from snakejax.vehicles.car import DART, Car
 
 TRUE = {"steering_ratio": 0.45, "force_gain": 22.0}
@@ -50,6 +53,36 @@ def test_a_car_with_its_true_values_leaves_noise(car: Path, tmp_path: Path) -> N
     assert {name: stated[name] for name in TYRES} == TYRES
     assert {name: stated[f"board.{name}"] for name in (*DART, *TRUE)} == {**DART, **TRUE}
     assert stated["effects.steering_lag.tau"] == 0.1
+
+
+def test_saved_models_of_a_car_are_judged_by_what_they_predict(car: Path, tmp_path: Path) -> None:
+    """The true model is off by a few times the noise; a file of `simulate` holds one model: base and final are it."""
+    values = ",".join(f"{name}={value}" for name, value in TYRES.items())
+    saved, where = tmp_path / "simulated.json", tmp_path / "predicted.json"
+    options = ["--set", values, "--effect", "steering_lag:tau=0.1", "--json", str(saved), "--quiet"]
+    assert main(["simulate", str(car), *options]) == 0
+    words = ["--horizon", "1,2", "--lead", "0.6", "--json", str(where), "--out", str(tmp_path), "--quiet"]
+    assert main(["predict", str(car), "--from", str(saved), *words]) == 0
+    result = json.loads(where.read_text())
+    jsonschema.validate(result, schema_of("predict"))
+    assert list(result["groups"]) == ["train", "heldout"] and result["lead_s"] == 0.6
+    for models in result["groups"].values():
+        assert models["base"] == models["final"] and list(models["final"]) == ["1", "2"]
+        assert models["final"]["1"]["windows"] >= 3
+        assert models["final"]["1"]["position_m"] < 0.01 and models["final"]["1"]["heading_rad"] < 0.01
+    assert (tmp_path / "predict-errors.png").exists()
+    table = predict(car, saved, (1.0,), 0.6).columns()
+    assert table["position_m"][0] == result["groups"]["train"]["base"]["1"]["position_m"]
+
+
+def test_a_prediction_that_cannot_be_made_is_one_line(car: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    assert main(["predict", str(car), "--from", str(tmp_path / "none.json")]) == 2
+    assert "Cannot read the saved fit" in capsys.readouterr().err
+    (tmp_path / "list.json").write_text("[]")
+    assert main(["predict", str(car), "--from", str(tmp_path / "list.json")]) == 2
+    assert "does not hold a fit" in capsys.readouterr().err
+    assert main(["predict", str(car), "--from", str(tmp_path / "list.json"), "--lead", "soon"]) == 2
+    assert "option --lead" in capsys.readouterr().err
 
 
 def test_a_gain_beside_a_constant_to_be_estimated_is_refused(car: Path) -> None:

@@ -9,12 +9,12 @@ from typing import Any, NoReturn
 
 from snakejax.core.errors import InputError, instead_of
 
-from . import check, compare, completion, design, diagnose, explain, fit, importing, new, simulate, sweep, tune
+from . import check, compare, completion, design, diagnose, explain, fit, importing, new, predict, simulate, sweep, tune
 from .exit_status import DONE, FAILED, INTERRUPTED, WRONG, complain, unexpected
 from .interrupt import PersistentInterrupt
 from .options import Formatter, add_command
 
-COMMANDS = (check, new, importing, fit, compare, diagnose, explain, simulate, sweep, tune, design, completion)
+COMMANDS = (check, new, importing, fit, compare, diagnose, explain, predict, simulate, sweep, tune, design, completion)
 
 _EXAMPLES = """\
 examples:

@@ -101,7 +101,9 @@ def show(text: "RenderableType") -> None:
     Console(highlight=False, width=None if sys.stdout.isatty() else 80).print(text)
 
 
-def read_cases(paths: Sequence[str], presets: bool, options: argparse.Namespace) -> Iterator[tuple[str, Any]]:
+def read_cases(
+    paths: Sequence[str], presets: bool, options: argparse.Namespace, to_train: bool = True
+) -> Iterator[tuple[str, Any]]:
     """(path, case, preset or `InputError`) for each CASE."""
     from snakejax.recording.case import load_case
     from snakejax.vehicles.snakeboard.paper_examples import PRESETS, preset
@@ -117,20 +119,24 @@ def read_cases(paths: Sequence[str], presets: bool, options: argparse.Namespace)
                 preset(path)
             if presets and (options.load is not None or options.camber is not None):
                 raise InputError(f"{path} has its own board and tyre", "options --load and --camber", "leave them out")
-            yield path, load_case(path)
+            yield path, load_case(path, to_train=to_train)
         except InputError as error:
             yield path, error
 
 
 def each_case(
-    options: argparse.Namespace, work: "Callable[[Case | Preset, Progress], Outcome]", *, presets: bool = False
+    options: argparse.Namespace,
+    work: "Callable[[Case | Preset, Progress], Outcome]",
+    *,
+    presets: bool = False,
+    to_train: bool = True,
 ) -> int:
     """Do `work` on each CASE, deliver its result, and return the exit status: 2 for wrong input, 1 for failed numerics.
 
     A CASE that fails gives one line on standard error; the others are computed all the same.
     """
     start_jax()
-    cases, status = _readable(options, presets)
+    cases, status = _readable(options, presets, to_train)
     if not cases:
         return status
     json_paths = _writable_targets(options, list(cases))
@@ -156,12 +162,12 @@ def each_case(
     return status
 
 
-def _readable(options: argparse.Namespace, presets: bool) -> tuple[dict[str, Any], int]:
+def _readable(options: argparse.Namespace, presets: bool, to_train: bool) -> tuple[dict[str, Any], int]:
     """The cases and presets by name, and the exit status: 2 where a CASE cannot be read, each with its error line."""
     from .exit_status import DONE, WRONG, complain
 
     status, cases = DONE, {}
-    for path, case in read_cases(options.cases, presets, options):
+    for path, case in read_cases(options.cases, presets, options, to_train):
         if isinstance(case, InputError):
             status = complain(case, WRONG)
         elif case.name in cases:

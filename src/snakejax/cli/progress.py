@@ -52,6 +52,7 @@ ROUTES: dict[str, tuple[Stop, ...]] = {
     "fit": (*_FIT, Stop(Phase.PROFILE, 10.0, False), _DRAWING),
     "compare": (*_FIT, Stop(Phase.COMPARISON, 1.5), Stop(Phase.OTHER_MODELS, 10.0, False), _DRAWING),
     "diagnose": (*_DIAGNOSE, _DRAWING),
+    "predict": (Stop(Phase.PREDICTION, 10.0), _DRAWING),
     "explain": (
         *_DIAGNOSE,
         Stop(Phase.TYRE_BESIDE_FORCE, 5.0, False),

@@ -7,4 +7,6 @@ from .fitting import fit as fit
 from .gaits import TuneOptions as TuneOptions
 from .gaits import tune as tune
 from .loading import load_model as load_model
+from .predicting import PredictionResult as PredictionResult
+from .predicting import predict as predict
 from .requested_model import ModelOptions as ModelOptions

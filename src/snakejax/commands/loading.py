@@ -6,7 +6,7 @@ from snakejax.core.errors import InputError, instead_of
 from snakejax.core.jax_config import prepare_jax
 from snakejax.dynamics.model import Model
 from snakejax.estimation.initial_model import starting_tyre
-from snakejax.present.as_json.saved import saved_fit
+from snakejax.present.as_json.saved import SavedFit, saved_fit, saved_models
 from snakejax.vehicles.registry import VEHICLES, vehicle_class
 
 from .named_effects import EffectArguments, named_effects
@@ -22,7 +22,20 @@ def load_model(path: Path | str, with_: EffectArguments | None = None) -> Model:
     **Raises:** `InputError` for a file without a model, or an effect that is neither built in nor given.
     """
     prepare_jax()
-    saved = saved_fit(path)
+    return model_of(saved_fit(path), path, with_)
+
+
+def load_models(path: Path | str, with_: EffectArguments | None = None) -> dict[str, Model]:
+    """All models in a result by name: "base", each step of `explain` by the effect that it added, and "final".
+
+    **Arguments:** as `load_model`. **Raises:** `InputError` as `load_model`.
+    """
+    prepare_jax()
+    return {name: model_of(saved, path, with_) for name, saved in saved_models(path).items()}
+
+
+def model_of(saved: SavedFit, path: Path | str, with_: EffectArguments | None) -> Model:
+    """The model of one `saved` fit in the file `path`. **Raises:** `InputError` as `load_model`."""
     if saved.vehicle is None:
         raise InputError("The file does not hold the vehicle", str(path), "write it anew with this version")
     kind, constants = saved.vehicle

@@ -17,7 +17,9 @@ from .initialisation import (
     continue_over_horizons,
     continue_to_convergence,
     fit_by_windows,
+    fit_short,
     inconsistent_derivative,
+    is_window,
     require_consistent_derivative,
     require_near,
 )
@@ -77,6 +79,8 @@ def fit_problem(
     train = problem.run_indices("train")
     if not train:
         raise InputError("There is no train run to fit", "runs", 'give at least one run role = "train"')
+    if all(is_window(problem.runs[k]) for k in train):
+        return fit_workspace(problem, fit_short(problem, values, free, train, threshold, progress))
     approach = continue_over_horizons(problem, problem.values() if values is None else values, free, train, progress)
     require_near(problem, approach, train)
     progress(ProgressEvent(Phase.WHOLE_RUNS))

@@ -8,6 +8,7 @@ import numpy as np
 
 from snakejax.core.errors import FitError
 from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
+from snakejax.recording.run import Run
 
 from .least_squares import domains_of, project_out_starts
 from .multiple_shooting import LENGTH, Windows, WindowSolution
@@ -26,6 +27,8 @@ FAR, NOWHERE = 50.0, 0.8
 """The initialisation has failed if the misfit over the horizons is above the first and the residuals are larger than
 this fraction of the motion.
 """
+SHORT, EARLY = 2.5, 0.5
+"""Longest window [s] that is fitted at once, and how much of it [s] is fitted first."""
 ROUNDS, WORTHWHILE = 8, 0.5
 """Largest number of restarts of a fit that has not converged, and the least decrease of chi^2 for another restart."""
 
@@ -57,6 +60,31 @@ def continue_over_horizons(
         progress(ProgressEvent(Phase.LONGER_HORIZON, f"first {until:g} seconds"))
         best = problem.fit(best.values, free, runs, best.start, until=until, enough=1.0, weak_prior=True, most=10)
     return best
+
+
+def is_window(run: Run) -> bool:
+    """Whether a run is a short window of a longer recording."""
+    return run.moving and run.cut_from is not None and float(run.times[-1] - run.times[0]) <= SHORT
+
+
+def fit_short(
+    problem: Problem,
+    values: Mapping[str, float] | None,
+    free: Sequence[str],
+    runs: Sequence[int],
+    threshold: float,
+    progress: Progress,
+) -> Solution:
+    """Fit windows: first their beginnings, where no false optimum is near, then the whole of them.
+
+    **Raises:** `FitError` if a simulation fails at the start, or if a free parameter has no influence.
+    """
+    values = problem.values() if values is None else values
+    progress(ProgressEvent(Phase.FIRST_SECONDS))
+    require_sensitive(problem, values, free, runs)
+    early = problem.fit(values, free, runs, until=EARLY, crawl=1e-3, weak_prior=True, most=15, threshold=threshold)
+    progress(ProgressEvent(Phase.WHOLE_RUNS))
+    return problem.fit(early.values, free, runs, early.start, crawl=1e-3, threshold=threshold)
 
 
 def other_starts(problem: Problem, values: Mapping[str, float], free: Sequence[str]) -> list[dict[str, float]]:

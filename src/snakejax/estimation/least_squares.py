@@ -16,7 +16,7 @@ from snakejax.simulation.integrate import Accuracy, simulate
 
 from .batch import Batch
 from .levenberg_marquardt import MOST_STEPS, StoppingRule, levenberg_marquardt
-from .many_runs import MANY, Ending, solve_many
+from .many_runs import MANY, Ending, solve_many, solve_starts
 from .whitening import whitened
 
 REACH = 3.0
@@ -259,12 +259,15 @@ def _solved_by_elimination(model, at: Variables, batch: Batch, runs: list[int], 
     def robust(parts: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         if not np.isfinite(float(settings.threshold)):
             return parts
-        r, J = _robust(*(jnp.asarray(part) for part in parts), settings.threshold)
+        r, J = _robust(jnp.asarray(parts[0]), jnp.asarray(parts[1]), settings.threshold)
         return np.asarray(r), np.asarray(J)
 
     samples = int((np.asarray(batch.weight)[runs] > 0).sum())
     ending = Ending(float(settings.enough), float(settings.crawl), samples, int(settings.most))
-    solved = solve_many(of_runs, robust, free_start[runs], prior, ending)
+    if np.asarray(at.directions).any():
+        solved = solve_many(of_runs, robust, free_start[runs], prior, ending)
+    else:
+        solved = solve_starts(of_runs, robust, free_start[runs], width, ending)
     if not (np.array_equal(last["found"][0], solved.z) and np.array_equal(last["found"][1], solved.starts)):
         of_runs(solved.z, solved.starts)
     moves = np.zeros((R, free_start.shape[1]))

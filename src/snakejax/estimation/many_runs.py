@@ -120,7 +120,45 @@ def solve_many(
     return Solved(z, starts, taken, settled or rejected >= 8)
 
 
+def solve_starts(
+    linearise: Callable[[np.ndarray, np.ndarray], Arrays],
+    robust: Callable[[Arrays], Arrays],
+    free_start: np.ndarray,
+    width: int,
+    ending: Ending,
+) -> Solved:
+    """`solve_many` where no parameter moves: each run has a damping of its own, and stops by itself."""
+    z, starts = np.zeros(width), np.zeros(free_start.shape)
+    residual, jacobian = _flat(robust(linearise(z, starts)))
+    damping, taken, settled = np.full(len(starts), FIRST_DAMPING), 0, False
+    while taken < ending.most:
+        moves, promise = np.zeros_like(starts), np.zeros(len(starts))
+        cost = (residual**2).sum(axis=1)
+        for k, (r, J) in enumerate(zip(residual, jacobian, strict=True)):
+            S = J[:, width:]
+            movable = (free_start[k] > 0) & ((S**2).sum(axis=0) > 0)
+            if not (np.isfinite(r).all() and np.isfinite(S).all() and movable.any()):
+                continue
+            S = S[:, movable]
+            rows = np.diag(np.sqrt(damping[k] * (S**2).sum(axis=0)))
+            right = np.concatenate([-r, np.zeros(len(rows))])
+            moves[k, movable] = np.linalg.lstsq(np.concatenate([S, rows]), right, rcond=1e-12)[0]
+            promise[k] = cost[k] - float(((r + S @ moves[k, movable]) ** 2).sum())
+        moving = promise > np.maximum(ending.enough / len(starts), RELATIVE * cost)
+        moving &= damping < MOST_DAMPING
+        if not moving.any():
+            settled = True
+            break
+        taken += 1
+        trial, slopes = _flat(robust(linearise(z, starts + np.where(moving[:, None], moves, 0.0))))
+        better = moving & ((trial**2).sum(axis=1) < cost)
+        starts[better] += moves[better]
+        residual[better], jacobian[better] = trial[better], slopes[better]
+        damping = np.where(better, np.maximum(damping / 10, LEAST_DAMPING), np.where(moving, damping * 10, damping))
+    return Solved(z, starts, taken, settled)
+
+
 def _flat(parts: Arrays) -> Arrays:
-    residual, jacobian = (np.asarray(part) for part in parts)
+    residual, jacobian = (np.array(part) for part in parts)
     R = residual.shape[0]
     return residual.reshape(R, -1), jacobian.reshape(R, -1, jacobian.shape[-1])

@@ -25,17 +25,21 @@ def replay(model: Model, runs: Sequence[Run], starts: Float[np.ndarray, "R S"]) 
     **Arguments:** `starts`: start states as in `simulate`, (R, 3) poses at rest or (R, 6) with velocities.
     **Raises:** `FitError` if the simulation of a run fails.
     """
-    poses, finished = _replay(model, batch_of_runs(runs, starts), np.asarray(starts, float))
-    complete = []
-    for run, pose, done in zip(runs, np.asarray(poses), np.asarray(finished), strict=True):
-        pose = pose[: run.times.shape[0]]
-        if not (done and np.isfinite(pose).all()):
+    complete = replayed(model, runs, starts)
+    for run, pose in zip(runs, complete, strict=True):
+        if not np.isfinite(pose).all():
             raise FitError(
                 f"The simulation of run `{run.name}` does not reach its end in {ACCURACY.max_steps} steps: check its"
                 " parameters, above all for a tyre too stiff (its limit is the ideal board) and steering by 90 degrees."
             )
-        complete.append(pose)
     return complete
+
+
+def replayed(model: Model, runs: Sequence[Run], starts: Float[np.ndarray, "R S"]) -> list[Float[np.ndarray, "n 3"]]:
+    """`replay`, with infinite poses where the simulation of a run fails."""
+    poses, finished = _replay(model, batch_of_runs(runs, starts), np.asarray(starts, float))
+    poses = np.where(np.asarray(finished)[:, None, None], np.asarray(poses), np.inf)
+    return [pose[: run.times.shape[0]] for run, pose in zip(runs, poses, strict=True)]
 
 
 def batch_of_runs(runs: Sequence[Run], starts: Float[np.ndarray, "R S"]) -> Batch:

@@ -11,7 +11,7 @@ from helpers.folders import DATA, beside
 from snakejax import check, load_case
 from snakejax.recording.quality import CONVENTIONS, inspect
 
-BUNDLED = sorted(path.parent for path in DATA.glob("*/case.toml"))
+BUNDLED = sorted(path.parent for path in DATA.glob("*-*/case.toml"))
 QUARTER = np.pi / 2
 TURNED = {QUARTER: "left", 2 * QUARTER: "back", -QUARTER: "right"}
 """Where the x axis points whose heading is so far ahead of the board's."""

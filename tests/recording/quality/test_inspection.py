@@ -44,7 +44,7 @@ def clean():
     from scipy.interpolate import make_smoothing_spline
 
     tracks = []
-    for folder in sorted(path for path in DATA.iterdir() if path.is_dir()):
+    for folder in sorted(DATA.glob("*-*")):
         for number, run in enumerate(load_case(folder).runs):
             track = PoseSeries.of(run)
             seen = track.complete()

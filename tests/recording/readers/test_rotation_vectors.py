@@ -132,7 +132,7 @@ def test_check_says_it_of_a_run(tmp_path, capsys):
     assert len(said) == 1 and said[0].startswith("RX, RY, RZ are a rotation vector")
 
 
-@pytest.mark.parametrize("path", sorted(DATA.glob("*/*.csv")), ids=lambda path: f"{path.parent.name}/{path.stem}")
+@pytest.mark.parametrize("path", sorted(DATA.glob("*-*/*.csv")), ids=lambda path: f"{path.parent.name}/{path.stem}")
 def test_the_heading_of_the_bundled_runs_is_their_third_angle(path):
     """They are level, so both readings agree, and nothing is added to what the file holds."""
     lines = path.read_text().splitlines()[5:]

@@ -155,6 +155,13 @@ def step_json(step: SelectionStep) -> Json:
         "converged": step.converged,
         "after": after_json(step),
         "ranking": [ranked_json(row) for row in step.ranking],
+        "fitted": {
+            "model": model_kind(step.model),
+            "skid": constraint_kind(step.model),
+            "vehicle": vehicle_json(step.model),
+            "parameters": parameters_json(_tyre(step)),
+            "effects": _effects(step),
+        },
     }
 
 

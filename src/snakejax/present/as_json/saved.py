@@ -31,7 +31,33 @@ def saved_fit(path: Path | str) -> SavedFit:
 
     **Raises:** `InputError` where the file does not hold such a result.
     """
-    remedy = "name a file that `snakejax fit CASE --json FILE` wrote"
+    return _saved(result_of(path), path)
+
+
+def saved_models(path: Path | str) -> dict[str, SavedFit]:
+    """The models in a result by name: "base", each step of `explain` by what it added or dropped, and "final".
+
+    Steps of files that do not hold their models are left out. **Raises:** `InputError` as `saved_fit`.
+    """
+    result = result_of(path)
+    found = {}
+    try:
+        if "base" in result:
+            found["base"] = _saved({key: part for key, part in result.items() if key != "final"}, path)
+        for step in result.get("steps", ()):
+            if "fitted" in step:
+                found[str(step.get("added") or step.get("dropped"))] = _saved({**result, "final": step["fitted"]}, path)
+    except (TypeError, AttributeError):
+        raise InputError("The file does not hold a fit", str(path), _REMEDY) from None
+    return {**found, "final": _saved(result, path)}
+
+
+_REMEDY = "name a file that `snakejax fit CASE --json FILE` wrote"
+
+
+def result_of(path: Path | str) -> dict[str, Any]:
+    """The JSON at `path`. **Raises:** `InputError` where it is none."""
+    remedy = _REMEDY
     try:
         result = json.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
@@ -40,6 +66,13 @@ def saved_fit(path: Path | str) -> SavedFit:
         raise InputError("The saved fit is not text", str(path), remedy) from None
     except json.JSONDecodeError as error:
         raise InputError(f"The saved fit is not JSON ({error.msg})", at_line(path, error.lineno), remedy) from None
+    if not isinstance(result, dict):
+        raise InputError("The file does not hold a fit", str(path), remedy)
+    return result
+
+
+def _saved(result: dict[str, Any], path: Path | str) -> SavedFit:
+    remedy = _REMEDY
     try:
         part = result.get("final") or result["base"]
         values = {name: float(entry["value"]) for name, entry in part["parameters"].items()}

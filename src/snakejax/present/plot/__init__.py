@@ -10,6 +10,7 @@
 | `ranking` | the remaining error with each candidate effect, and its significance |
 | `confusability` | which candidates the runs cannot distinguish |
 | `missing` | the missing force, and its dependence |
+| `prediction` | the errors of predictions over the horizon, for each group and model |
 | `sweep` | k_s against a parameter with its polynomial, or maps over two |
 | `tuned` | a gait before and after tuning: path, joints within their limits, spread over samples |
 | `designed` | a run designed to distinguish two effects, or to determine the tyre |
@@ -35,5 +36,6 @@ from .misfit import waterfall as waterfall
 from .paths import gaps as gaps
 from .paths import paths as paths
 from .paths import residuals as residuals
+from .prediction import prediction as prediction
 from .save import save as save
 from .sweep import sweep as sweep

@@ -129,5 +129,6 @@ def _on_clock(stamp: np.ndarray, arrival: np.ndarray) -> tuple[np.ndarray, float
     """The `stamp` on the clock of `arrival`, and the largest delay of a message [s]."""
     if not len(stamp):
         return stamp, 0.0
-    offset = float(np.quantile(arrival - stamp, OFFSET_QUANTILE))
-    return stamp + offset, float((arrival - stamp).max() - offset)
+    offset = float(np.quantile((arrival - stamp)[-max(len(stamp) - 1, 1) :], OFFSET_QUANTILE))
+    # The first row may have come in the middle of its message.
+    return stamp + offset, float((arrival - stamp)[1:].max(initial=offset) - offset)
