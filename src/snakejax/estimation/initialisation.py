@@ -75,7 +75,7 @@ def fit_short(
     threshold: float,
     progress: Progress,
 ) -> Solution:
-    """Fit windows: first their beginnings, where no false optimum is near, then the whole of them.
+    """The better of two fits of windows: from one of their beginnings, where few false optima are, and from `values`.
 
     **Raises:** `FitError` if a simulation fails at the start, or if a free parameter has no influence.
     """
@@ -84,7 +84,8 @@ def fit_short(
     require_sensitive(problem, values, free, runs)
     early = problem.fit(values, free, runs, until=EARLY, crawl=1e-3, weak_prior=True, most=15, threshold=threshold)
     progress(ProgressEvent(Phase.WHOLE_RUNS))
-    return problem.fit(early.values, free, runs, early.start, crawl=1e-3, threshold=threshold)
+    starts = ((early.values, early.start), (values, None))
+    return best_of(*(problem.fit(v, free, runs, start, crawl=3e-4, threshold=threshold) for v, start in starts))
 
 
 def other_starts(problem: Problem, values: Mapping[str, float], free: Sequence[str]) -> list[dict[str, float]]:

@@ -256,6 +256,12 @@ def _solved_by_elimination(model, at: Variables, batch: Batch, runs: list[int], 
         last["found"] = (z.copy(), starts.copy(), found)
         return np.asarray(found.residual)[runs], np.asarray(found.jacobian)[runs]
 
+    def of_some(starts: np.ndarray, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        all_starts, some = np.zeros_like(free_start), [runs[k] for k in numbers]
+        all_starts[runs] = starts
+        found = _in_threads(model, at, batch, some, accuracy, np.zeros(width), all_starts)
+        return np.asarray(found.residual)[some], np.asarray(found.jacobian)[some]
+
     def robust(parts: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         if not np.isfinite(float(settings.threshold)):
             return parts
@@ -267,8 +273,8 @@ def _solved_by_elimination(model, at: Variables, batch: Batch, runs: list[int], 
     if np.asarray(at.directions).any():
         solved = solve_many(of_runs, robust, free_start[runs], prior, ending)
     else:
-        solved = solve_starts(of_runs, robust, free_start[runs], width, ending)
-    if not (np.array_equal(last["found"][0], solved.z) and np.array_equal(last["found"][1], solved.starts)):
+        solved = solve_starts(of_some, robust, free_start[runs], width, ending)
+    if not (last and np.array_equal(last["found"][0], solved.z) and np.array_equal(last["found"][1], solved.starts)):
         of_runs(solved.z, solved.starts)
     moves = np.zeros((R, free_start.shape[1]))
     moves[runs] = solved.starts

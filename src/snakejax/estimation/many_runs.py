@@ -16,6 +16,9 @@ FAR, RELATIVE = 1.5, 1e-5
 """Above the first misfit, far from the noise, it stops where the expected decrease is below the second, relative to
 chi^2, as a fit of few runs does."""
 
+LITTLE = 1e-4
+"""A run whose start alone is fitted stops where the expected decrease is below this, relative to its chi^2."""
+
 Arrays = tuple[np.ndarray, np.ndarray]
 
 
@@ -127,9 +130,12 @@ def solve_starts(
     width: int,
     ending: Ending,
 ) -> Solved:
-    """`solve_many` where no parameter moves: each run has a damping of its own, and stops by itself."""
+    """`solve_many` where no parameter moves: each run has a damping of its own, and stops by itself.
+
+    `linearise(starts, numbers)` gives the residuals and Jacobians of the runs with these numbers alone.
+    """
     z, starts = np.zeros(width), np.zeros(free_start.shape)
-    residual, jacobian = _flat(robust(linearise(z, starts)))
+    residual, jacobian = _flat(robust(linearise(starts, np.arange(len(starts)))))
     damping, taken, settled = np.full(len(starts), FIRST_DAMPING), 0, False
     while taken < ending.most:
         moves, promise = np.zeros_like(starts), np.zeros(len(starts))
@@ -144,17 +150,20 @@ def solve_starts(
             right = np.concatenate([-r, np.zeros(len(rows))])
             moves[k, movable] = np.linalg.lstsq(np.concatenate([S, rows]), right, rcond=1e-12)[0]
             promise[k] = cost[k] - float(((r + S @ moves[k, movable]) ** 2).sum())
-        moving = promise > np.maximum(ending.enough / len(starts), RELATIVE * cost)
+        moving = promise > np.maximum(ending.enough / len(starts), LITTLE * cost)
         moving &= damping < MOST_DAMPING
         if not moving.any():
             settled = True
             break
         taken += 1
-        trial, slopes = _flat(robust(linearise(z, starts + np.where(moving[:, None], moves, 0.0))))
-        better = moving & ((trial**2).sum(axis=1) < cost)
+        numbers = np.flatnonzero(moving)
+        trial, slopes = _flat(robust(linearise(starts + np.where(moving[:, None], moves, 0.0), numbers)))
+        lower = (trial**2).sum(axis=1) < cost[numbers]
+        better = numbers[lower]
         starts[better] += moves[better]
-        residual[better], jacobian[better] = trial[better], slopes[better]
-        damping = np.where(better, np.maximum(damping / 10, LEAST_DAMPING), np.where(moving, damping * 10, damping))
+        residual[better], jacobian[better] = trial[lower], slopes[lower]
+        damping[numbers] *= 10
+        damping[better] = np.maximum(damping[better] / 100, LEAST_DAMPING)
     return Solved(z, starts, taken, settled)
 
 

@@ -4,6 +4,7 @@ At many moments of a recording the state is estimated from the `lead` seconds be
 simulated under the commands, and compared with what was measured 1, 2, 3 s later.
 """
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -140,7 +141,7 @@ def predicted(model: Model, windows: Sequence[PredictionWindow]) -> list[Float[n
     error grows with time: the variance of a frame of age a is taken as noise^2 (1 + c (a / lead)^3), that of a random
     acceleration, with the least c of `STRENGTHS` under which no more than noise is left.
     """
-    problem = Problem.of(model, [w.run for w in windows], Noise(jnp.ones(()), jnp.ones(()), source="none"), (), 1)
+    problem = Problem.of(model, [_lead_of(w) for w in windows], Noise(jnp.ones(()), jnp.ones(()), source="none"), (), 1)
     noise = np.stack([w.noise for w in windows])[:, None, :]
     seen = np.asarray(problem.batch.weight) > 0
     problem = _weighted(problem, np.where(seen, 1 / noise, 0.0))
@@ -150,6 +151,12 @@ def predicted(model: Model, windows: Sequence[PredictionWindow]) -> list[Float[n
     fine = _weighted(problem, np.where(seen, factor[..., None] / noise, 0.0)).fit({}, (), every, rough.start)
     poses = replayed(model, [w.run for w in windows], np.asarray(fine.start))
     return [pose[w.led + np.array(w.known)] for pose, w in zip(poses, windows, strict=True)]
+
+
+def _lead_of(window: PredictionWindow) -> Run:
+    """The run of a window without its horizons."""
+    run = window.run
+    return dataclasses.replace(run, times=run.times[: window.led], pose=run.pose[: window.led])
 
 
 def _weighted(problem: Problem, weight: np.ndarray) -> Problem:
