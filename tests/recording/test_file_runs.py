@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.folders import beside
+from helpers.folders import DATA, beside
 
 from snakejax.core.errors import InputError
 from snakejax.dynamics.sampled_signals import Held
@@ -195,3 +195,11 @@ def test_the_recordings_of_the_car_are_read_as_they_stand(tmp_path: Path) -> Non
     assert any("jumps at 15.3 s" in note for note in case.reading["0925_100232"])
     assert any("out of order" in note for note in case.reading["0904_121123"])
     assert all(np.ptp(np.asarray(run.pose)[:, 0]) < 3 for run in case.runs)
+
+
+@pytest.mark.parametrize(("name", "groups"), [("car", {"circles", "ramp", "fast laps"}), ("robot", {None})])
+def test_the_recorded_vehicles_of_data_are_cases(name: str, groups: set[str | None]) -> None:
+    case = load_case(DATA / name)
+    assert {run.group for run in case.having("heldout")} == groups and len(case.having("train")) > 40
+    assert all(np.isfinite(np.asarray(run.pose)).all() for run in case.runs)
+    assert all(1.4 < float(run.times[-1]) < 2.0 for run in case.runs)
