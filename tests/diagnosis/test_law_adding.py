@@ -58,3 +58,9 @@ def test_a_second_law_must_take_away_half_of_what_the_first_leaves(second, taken
     force = cast(Any, SimpleNamespace(windows=object()))
     assert (adding._second(force, proposed(("y",), 0.9, left_out=1.5), no_progress) is not None) is taken
     assert adding._second(force, proposed(("y",), 0.9, left_out=1.01), no_progress) is None
+
+
+def test_only_rivals_of_the_best_law_are_fitted_to_whole_runs() -> None:
+    laws = [proposed((name,), 0.9, left_out) for name, left_out in (("x", 1.3), ("y", 1.2), ("time", 1.7), ("r", 1.35))]
+    assert [law.family.variables for law in adding.rivals_of(laws)] == [("x",), ("y",), ("r",)]
+    assert adding.rivals_of([]) == []

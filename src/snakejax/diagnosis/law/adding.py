@@ -26,6 +26,8 @@ from .search import ProposedLaw, search
 
 TRIED = 3
 """So many of the laws that the windows propose are fitted to whole runs."""
+RIVAL = 2.0
+"""A law whose excess in the windows is above this multiple of the best one's is not fitted to whole runs."""
 SECOND = 0.5
 """A second law is looked for beside the first where it leaves less than this share of the excess of the windows."""
 LEAST_EXCESS = 0.02
@@ -122,6 +124,12 @@ def predicting_steps(steps: Sequence[WorkingStep], progress: Progress) -> list[W
     return list(steps[: int(np.argmin(expected)) + 1])
 
 
+def rivals_of(laws: Sequence[ProposedLaw]) -> list[ProposedLaw]:
+    """The first few laws that leave nearly as little in the windows as the best does."""
+    least = min((law.left_out - 1 for law in laws), default=0.0)
+    return [law for law in laws if law.left_out - 1 <= RIVAL * max(least, LEAST_EXCESS)][:TRIED]
+
+
 def best_laws(
     case: Case, noise: Noise, like: WorkingStep, last: WorkingStep, missing: LatentForce, progress: Progress
 ) -> list[AddedLaws]:
@@ -152,7 +160,7 @@ def best_laws(
         return AddedLaws(laws, candidate_set, fit, left_out_misfit(candidate_set, fit))
 
     best = None
-    for law in missing.laws[:TRIED]:
+    for law in rivals_of(missing.laws):
         trial = added((law,))
         if trial is not None and (best is None or trial.left_out < best.left_out):
             best = trial
