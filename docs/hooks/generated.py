@@ -12,6 +12,7 @@ from effect_pictures import picture
 from joint_pictures import joints
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
+from notebook_pages import notebook_pages
 
 import snakejax
 from snakejax.cli.main import parser
@@ -26,10 +27,12 @@ def on_startup(**_: object) -> None:
 
 
 def on_files(files: Files, config: MkDocsConfig) -> None:
-    """Add the pictures that are drawn from the code at every build."""
+    """Add the pictures that are drawn from the code at every build, and the pages of the notebooks."""
     for name in LIBRARY:
         files.append(File.generated(config, f"effects/{name}.svg", content=picture(name)))
     files.append(File.generated(config, "joints.svg", content=joints()))
+    for page in notebook_pages(config):
+        files.append(page)
 
 
 def on_page_markdown(markdown: str, **_: object) -> str:
