@@ -1,8 +1,11 @@
 """What a release is made of: one version, notes, packages of what the code needs, and forms that can be read."""
 
+import importlib.util
 import re
 import subprocess
+import sys
 import tomllib
+from types import ModuleType
 
 import pytest
 import yaml
@@ -64,3 +67,34 @@ def test_forms_can_be_read(form) -> None:
     content = yaml.safe_load(form.read_text(encoding="utf-8"))
     for part in content.get("body", ()):
         assert part["type"] in ("input", "textarea") and part["attributes"]["label"]
+
+
+@pytest.fixture
+def outside_of_repository(monkeypatch: pytest.MonkeyPatch):
+    """That function of the build, which runs where hatchling is installed."""
+    interface = ModuleType("hatchling.metadata.plugin.interface")
+    interface.MetadataHookInterface = object
+    monkeypatch.setitem(sys.modules, interface.__name__, interface)
+    spec = importlib.util.spec_from_file_location("hatch_build", ROOT / "hatch_build.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.outside_of_repository
+
+
+def test_the_readme_of_a_package_links_to_the_repository(outside_of_repository) -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    known = {"GITHUB_SERVER_URL": "https://forge", "GITHUB_REPOSITORY": "a/b", "GITHUB_SHA": "0123"}
+    shown = outside_of_repository(readme, known)
+    assert "](https://forge/a/b/raw/0123/docs/gallery/fall.png)" in shown
+    assert "[Apache-2.0](https://forge/a/b/blob/0123/LICENSE)" in shown
+    for text in (shown, outside_of_repository(readme, {})):
+        assert re.findall(r"\]\((?!https?://)[^)]*\)", text) == []
+    assert "Licence: Apache-2.0." in outside_of_repository(readme, {})
+
+
+@pytest.mark.long
+def test_packages_install_and_run_on_every_python_that_is_there() -> None:
+    """Wheel, source archive and plain folder, each in an empty environment; it needs a package registry."""
+    done = subprocess.run([ROOT / ".ci" / "package"], capture_output=True, text=True, timeout=3000)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.count("snakejax ") >= 3
