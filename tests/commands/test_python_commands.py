@@ -135,8 +135,22 @@ def test_arguments_are_the_options_in_their_order(name: str) -> None:
 
 
 def test_an_unknown_argument_is_refused() -> None:
-    with pytest.raises(TypeError, match="fre"):
+    with pytest.raises(TypeError, match=r'fit\(\) has no argument `fre`: write "free"'):
         sj.fit(LEVEL, fre="B")  # type: ignore[call-arg]
+
+
+def test_a_case_and_what_was_found_in_it_print_in_a_line_each(short: Path) -> None:
+    sj.prepare_jax()
+    case = sj.load_case(short)
+    line = "Case short-board: Board, free; 1 train run and 0 held-out runs"
+    assert repr(case) == line
+    head, *findings = repr(sj.inspect(case)).splitlines()
+    assert head == f"{line}; {len(findings)} finding{'s' * (len(findings) != 1)}" and "train-forward-1: " in findings[0]
+
+
+def test_check_takes_a_folder_or_a_case(short: Path) -> None:
+    issues = sj.check(short)
+    assert issues and issues == sj.check(sj.load_case(short), short)
 
 
 @pytest.mark.parametrize(

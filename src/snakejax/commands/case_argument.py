@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
-from snakejax.core.errors import InputError
+from snakejax.core.errors import InputError, instead_of
 from snakejax.core.jax_config import prepare_jax
 from snakejax.dynamics.model import Model
 from snakejax.recording.case import load_case
@@ -64,6 +64,9 @@ def takes(options: type, **defaults: Any) -> Callable[[F], F]:
 
         @functools.wraps(function)
         def called(*args: Any, **kwargs: Any) -> Any:
+            for name in kwargs.keys() - signature.parameters.keys():
+                arguments = list(signature.parameters)
+                raise TypeError(f"{function.__name__}() has no argument `{name}`: {instead_of(name, arguments)}")
             signature.bind(*args, **kwargs)
             return function(*args, **kwargs)
 

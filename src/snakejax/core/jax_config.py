@@ -10,7 +10,8 @@ def require_x64() -> None:
     """Check the precision. **Raises:** `RuntimeError` unless JAX computes in double precision."""
     if not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
         raise RuntimeError(
-            'snakejax computes in double precision: call `jax.config.update("jax_enable_x64", True)` first.'
+            "snakejax computes in double precision: call `snakejax.prepare_jax()` first, or without its other options "
+            '`jax.config.update("jax_enable_x64", True)`.'
         )
 
 

@@ -11,6 +11,7 @@ from snakejax.core.errors import InputError
 from snakejax.dynamics.inputs import Gait
 from snakejax.dynamics.signals import AbstractSignal, Tracked
 
+from .case import load_case
 from .quality import CONVENTIONS, Finding, Inspection, angles, clocks, estimate_noise, inspect
 from .run import Case, Run
 
@@ -47,11 +48,17 @@ def run_summary(run: Run) -> RunSummary:
     return RunSummary(run.name, run.role, float(times[-1] - times[0]), _rate(run), times.size, lost)
 
 
-def check(case: Case, folder: Path | str | None = None, inspection: Inspection | None = None) -> list[Issue]:
+def check(
+    case: Case | Path | str, folder: Path | str | None = None, inspection: Inspection | None = None
+) -> list[Issue]:
     """Everything doubtful in `case`, the case as a whole first; `folder`, where given, is searched for unused files.
 
-    `inspection`: what `inspect(case)` found, where that is known already.
+    A `case` given as its folder is read from there, and the folder is searched. `inspection`: what `inspect(case)`
+    found, where that is known already. **Raises:** as `load_case`.
     """
+    if isinstance(case, Path | str):
+        folder = case if folder is None else folder
+        case = load_case(case)
     inspected = inspection or inspect(case)
     issues = [*_whole(case), *_noise(inspected.case), *(_unused(case, Path(folder)) if folder is not None else ())]
     issues += [_issue(f) for f in inspected.findings if f.run is None]

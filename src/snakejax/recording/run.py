@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from snakejax.core.parameter import Scalar
+from snakejax.core.tabular import counted
 from snakejax.dynamics.inputs import AbstractInputs
 from snakejax.dynamics.vehicle import AbstractVehicle
 
@@ -106,6 +107,12 @@ class Case(eqx.Module):
     needed: NeededAccuracy | None = eqx.field(static=True, default=None)
     search: dict[str, float] = eqx.field(static=True, default_factory=dict)
     recordings: tuple[Run, ...] = ()
+
+    def __repr__(self) -> str:
+        """`Case tilted-floor: Board, free; 5 train runs and 2 held-out runs`."""
+        train, heldout = (len(self.having(role)) for role in ("train", "heldout"))
+        runs = f"{counted(train, 'train run')} and {counted(heldout, 'held-out run')}"
+        return f"Case {self.name}: {type(self.board).__name__}, {self.constraint}; {runs}"
 
     def having(self, role: str) -> tuple[Run, ...]:
         """The runs of `role` "train" or "heldout"."""

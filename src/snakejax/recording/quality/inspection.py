@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from snakejax.core.errors import InputError
+from snakejax.core.tabular import counted
 from snakejax.vehicles.snakeboard.board import Board
 
 from ..readers import FEWEST_SAMPLES
@@ -31,6 +32,10 @@ class Inspection(NamedTuple):
     case: Case
     findings: tuple[Finding, ...]
     as_recorded: bool = False
+
+    def __repr__(self) -> str:
+        found = [f"  {f.run or self.case.name}: {f.what} - {f.remedy}" for f in self.findings]
+        return "\n".join([f"{self.case!r}; {counted(len(found), 'finding')}", *found])
 
     @property
     def masked(self) -> dict[str, int]:
