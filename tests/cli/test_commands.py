@@ -191,6 +191,13 @@ def test_a_pose_that_begins_with_a_minus_is_no_option() -> None:
     assert prepared(["--robust", "2.5", "CASE"]) == ["--robust", "2.5", "CASE"]
 
 
+@pytest.mark.parametrize("word", ["--form", "--form=x.json"])
+def test_a_misspelt_option_is_answered_with_the_right_one(say, word: str) -> None:
+    said = say("fit", DATA / "level-board", word)
+    assert said.status == 2 and LINE.fullmatch(said.err)
+    assert '`snakejax fit` has no option `--form`, command line: write "--from" (known: --help' in said.err
+
+
 def test_new_then_check(say, tmp_path: Path) -> None:
     folder = tmp_path / "my-board"
     assert say("new", folder).status == 0
@@ -400,6 +407,7 @@ def test_a_table_of_the_worst_fits_80_columns() -> None:
     text = console.export_text()
     assert "heldout-reverse-12" in text
     assert "[s] run" in text
+    assert {"position", "heading", "error", "worst"} <= set(text.split())  # no name of a column is broken
     row = next(line for line in text.splitlines() if line.strip().startswith("heldout-reverse-12"))
     assert row.split()[1:] == ["400", "1200", "533", "735", "10000", "70.7", "112.00"]
 

@@ -30,6 +30,15 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         raise InputError(message, "command line", f"see `{self.prog} --help`")
 
+    def parse_known_args(self, args=None, namespace=None):  # type: ignore[override]
+        """As argparse does. **Raises:** `InputError` for an unknown option, with the one that was meant."""
+        known, rest = super().parse_known_args(args, namespace)
+        for word in (word.partition("=")[0] for word in rest if word.startswith("--")):
+            shown = (action for action in self._actions if action.help is not argparse.SUPPRESS)
+            options = [option for action in shown for option in action.option_strings if option.startswith("--")]
+            raise InputError(f"`{self.prog}` has no option `{word}`", "command line", instead_of(word, options))
+        return known, rest
+
 
 def parser() -> argparse.ArgumentParser:
     """The parser of all commands."""

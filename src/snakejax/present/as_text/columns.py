@@ -19,6 +19,7 @@ def of_heldout(name: str) -> str:
 
 def narrow(name: str) -> str:
     """A name in two lines, for a terminal of 80 columns."""
-    for sign in (" [", " /"):
-        name = name.replace(sign, f"\n{sign.lstrip()}")
-    return name
+    quantity, slash, unit = name.partition(" / ")
+    if slash:
+        return f"{quantity} /\n{unit}" if len(quantity) < len("noise") else f"{quantity}\n/ {unit}"
+    return name.replace(" [", "\n[")
