@@ -25,14 +25,34 @@ def step(misfit: float) -> Any:
 def test_no_step_is_kept_after_the_one_that_predicts_best(left_out, kept, monkeypatch) -> None:
     steps = [step(1.5) for _ in left_out]
     told = {id(one.step): misfit for one, misfit in zip(steps, left_out, strict=True)}
-    monkeypatch.setattr(adding, "left_out_misfit", lambda candidate_set, fit: told[id(fit)])
+    monkeypatch.setattr(adding, "left_out_misfits", lambda candidate_set, fit: np.full(3, told[id(fit)]))
     assert adding.predicting_steps(steps, no_progress) == steps[:kept]
 
 
 def test_far_from_the_recordings_the_misfit_of_the_fit_stands_for_that_of_runs_left_out(monkeypatch) -> None:
-    monkeypatch.setattr(adding, "left_out_misfit", lambda candidate_set, fit: pytest.fail("is not to be refitted"))
-    far = step(2 * CRITERIA.far_misfit)
-    assert adding.expected_misfit(far.candidate_set, far.step) == 2 * CRITERIA.far_misfit
+    """By hand: runs of 2 and 1 present samples with residuals (3, 4) and 6, the second run not to train on."""
+    monkeypatch.setattr(adding, "left_out_misfits", lambda candidate_set, fit: pytest.fail("is not to be refitted"))
+    weight = np.array([[[1.0, 1.0, 0.0]], [[1.0, 1.0, 1.0]], [[1.0, 0.0, 0.0]]])
+    residual = np.array([[[3.0, 4.0, 9.0]], [[5.0, 5.0, 5.0]], [[6.0, 7.0, 8.0]]])
+    problem = SimpleNamespace(batch=SimpleNamespace(weight=weight))
+    candidate_set: Any = SimpleNamespace(criteria=CRITERIA, problem=problem, train=[0, 2])
+    linearised = SimpleNamespace(residual=residual)
+    fit: Any = SimpleNamespace(solution=SimpleNamespace(misfit=2 * CRITERIA.far_misfit, linearised=linearised))
+    assert adding.expected_misfits(candidate_set, fit).tolist() == [12.5, 36.0]
+
+
+@pytest.mark.parametrize(
+    ("after", "before", "better"),
+    [
+        ([1.0, 1.1, 0.9], [30.0, 40.0, 20.0], True),
+        ([1.0, 1.0, 1.0], [1.1, 1.1, 1.1], True),
+        ([1.0, 1.0, 50.0], [30.0, 3.0, 1.0], False),  # the mean falls, and one run in three is fifty times worse
+        ([2.0, 2.0], [1.0, 1.0], False),
+        ([1.0, np.inf], [2.0, 2.0], False),
+    ],
+)
+def test_a_law_must_predict_better_by_more_than_its_standard_error(after, before, better) -> None:
+    assert adding.predicts_better(np.array(after), np.array(before)) is better
 
 
 def proposed(variables: tuple[str, ...], share: float, left_out: float = 1.5) -> ProposedLaw:

@@ -35,13 +35,13 @@ LEAST_EXCESS = 0.02
 
 
 class AddedLaws(NamedTuple):
-    """The `laws` fitted to whole train runs: `fit` in `candidate_set`, and the misfit that it leaves of train runs that
-    were left out."""
+    """The `laws` fitted to whole train runs: `fit` in `candidate_set`, and the misfit (R,) that it leaves of each train
+    run that was left out; of a fit that leaves only noise, that of its own runs."""
 
     laws: tuple[ProposedLaw, ...]
     candidate_set: CandidateSet
     fit: CandidateFit
-    left_out: float
+    left_out: np.ndarray
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -95,23 +95,40 @@ def fitted_laws(
     return candidate_set, CandidateFit(names, solution)
 
 
-def left_out_misfit(candidate_set: CandidateSet, fit: CandidateFit) -> float:
-    """The misfit of each train run under parameters fitted to the others; only its start is its own."""
+def left_out_misfits(candidate_set: CandidateSet, fit: CandidateFit) -> np.ndarray:
+    """The misfit (R,) of each train run under parameters fitted to the others; only its start is its own."""
     problem, solution, train = candidate_set.problem, fit.solution, candidate_set.train
-    free, square = list(solution.free), 0.0
+    free, misfits = list(solution.free), []
     for run in train:
         others = [k for k in train if k != run]
         apart = problem.fit(solution.values, free, others, solution.start, crawl=CRAWL, most=10)
-        judged = problem.fit(apart.values, [], [run], solution.start, most=20)
-        square += judged.misfit * judged.samples
-    misfit = square / solution.samples
-    return misfit if np.isfinite(misfit) else np.inf
+        misfits.append(problem.fit(apart.values, [], [run], solution.start, most=20).misfit)
+    return np.nan_to_num(np.array(misfits), nan=np.inf)
 
 
-def expected_misfit(candidate_set: CandidateSet, fit: CandidateFit) -> float:
-    """The misfit of train runs that were left out; where the fit is far from the recordings, that of its own runs."""
+def own_misfits(candidate_set: CandidateSet, fit: CandidateFit) -> np.ndarray:
+    """The misfit (R,) of each train run under the parameters of the fit."""
+    train = list(candidate_set.train)
+    present = np.asarray(candidate_set.problem.batch.weight)[train] > 0
+    square = np.where(present, np.asarray(fit.solution.linearised.residual)[train] ** 2, 0.0)
+    return square.sum(axis=(1, 2)) / np.maximum(present.sum(axis=(1, 2)), 1)
+
+
+def expected_misfits(candidate_set: CandidateSet, fit: CandidateFit) -> np.ndarray:
+    """The misfit (R,) of train runs that were left out; where the fit is far from the recordings, that of its own
+    runs, which is smaller."""
     near = fit.solution.misfit < candidate_set.criteria.far_misfit
-    return left_out_misfit(candidate_set, fit) if near else fit.solution.misfit
+    return left_out_misfits(candidate_set, fit) if near else own_misfits(candidate_set, fit)
+
+
+def predicts_better(after: np.ndarray, before: np.ndarray) -> bool:
+    """Whether the misfit (R,) of runs left out is lower `after` than `before`, by more than its standard error.
+
+    The mean of ln(before / after) over runs, so that no single run decides, against sd / sqrt(R).
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gain = np.log(before) - np.log(after)
+    return bool(np.isfinite(gain).all() and gain.mean() > gain.std(ddof=1) / np.sqrt(len(gain)))
 
 
 def predicting_steps(steps: Sequence[WorkingStep], progress: Progress) -> list[WorkingStep]:
@@ -120,7 +137,7 @@ def predicting_steps(steps: Sequence[WorkingStep], progress: Progress) -> list[W
     if len(steps) < 2:
         return list(steps)
     progress(ProgressEvent(Phase.PREDICTION, "does each step predict runs that were left out?"))
-    expected = [expected_misfit(step.candidate_set, step.step) for step in steps]
+    expected = [expected_misfits(step.candidate_set, step.step).mean() for step in steps]
     return list(steps[: int(np.argmin(expected)) + 1])
 
 
@@ -154,15 +171,15 @@ def best_laws(
         if not fit.solution.misfit < like.step.solution.misfit:
             return None
         if consistent_with_noise(fit.solution) and accept_addition(candidate_set, like.step, fit):
-            return AddedLaws(laws, candidate_set, fit, fit.solution.misfit)
+            return AddedLaws(laws, candidate_set, fit, own_misfits(candidate_set, fit))
         # Far from the noise a linear model says nothing about runs left out.
         progress(ProgressEvent(Phase.PREDICTION, f"does {told} predict runs that were left out?"))
-        return AddedLaws(laws, candidate_set, fit, left_out_misfit(candidate_set, fit))
+        return AddedLaws(laws, candidate_set, fit, left_out_misfits(candidate_set, fit))
 
     best = None
     for law in rivals_of(missing.laws):
         trial = added((law,))
-        if trial is not None and (best is None or trial.left_out < best.left_out):
+        if trial is not None and (best is None or trial.left_out.mean() < best.left_out.mean()):
             best = trial
         if best is not None and consistent_with_noise(best.fit.solution):
             return [best]
@@ -170,10 +187,10 @@ def best_laws(
         return []
     second = _second(missing, best.laws[0], progress)
     both = None if second is None else added((best.laws[0], second))
-    path = [best] if both is None or not both.left_out < best.left_out else [best, both]
+    path = [best] if both is None or not predicts_better(both.left_out, best.left_out) else [best, both]
     rivals = [like] if last is like else [like, last]
-    least = min(expected_misfit(step.candidate_set, step.step) for step in rivals)
-    return path if path[-1].left_out < least else []
+    expected = [expected_misfits(step.candidate_set, step.step) for step in rivals]
+    return path if all(predicts_better(path[-1].left_out, before) for before in expected) else []
 
 
 def _second(missing: LatentForce, first: ProposedLaw, progress: Progress) -> ProposedLaw | None:

@@ -83,7 +83,9 @@ def explanation_json(explanation: Explanation, provenance: Json, seconds: Json |
         "candidates": [row._asdict() for row in explanation.candidates],
         "bands": [{"run": b.run, "role": b.role, "inside": b.inside} for b in explanation.bands],
         "odd_runs": [odd._asdict() for odd in explanation.odd_runs],
-        "unexplained": unexplained_json(explanation) if explanation.verdict == "unexplained" else None,
+        "unexplained": unexplained_json(explanation)
+        if explanation.verdict == "unexplained" or explanation.law
+        else None,
         "seconds": seconds,
     }
     return clean(result)
@@ -102,8 +104,9 @@ def _remainder_json(rest: Remainder | None) -> Json | None:
 
 
 def unexplained_json(explanation: Explanation) -> Json:
-    """The remaining misfit, partial effects, missing force and its dependence, and effects significant beside it."""
-    missing = explanation.missing
+    """What no known effect explains: the remaining misfit, partial effects, the missing force with its dependence, and
+    effects significant beside it."""
+    missing = explanation.missing or explanation.law
     return {
         "misfit": misfit_json(explanation.final.train, explanation.final.heldout),
         "partial": list(explanation.partial),
