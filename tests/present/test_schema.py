@@ -32,6 +32,7 @@ RUNS = {
     "compare": [("compare", "CASE", *FITTED, "--against", "ideal")],
     "diagnose": [("diagnose", "CASE", *SOME)],
     "explain": [("explain", "CASE", *SOME)],
+    "predict": [("predict", "CASE", "--from", "FIT", "--horizon", "0.5,1")],
     "simulate": [("simulate", "paper-rotate"), ("simulate", "CASE", *GIVEN)],
     "sweep": [
         ("sweep", "paper-rotate", "--vary", "D=1:4:7"),
@@ -47,7 +48,7 @@ RUNS = {
         ("design", "CASE", "--objective", "information", *DESIGN),
     ],
 }
-"""By command, its arguments; CASE stands for a case of four seconds."""
+"""By command, its arguments; CASE stands for a case of four seconds, FIT for the result of a fit to it."""
 
 
 def marks(command: str, arguments: tuple[Any, ...]) -> list[pytest.MarkDecorator]:
@@ -89,8 +90,10 @@ def wrong(command: str, found: Any) -> list[str]:
 def test_what_a_command_writes_follows_the_schema(command, arguments, case, tmp_path, monkeypatch, pytestconfig):
     assert pytestconfig.cache is not None
     monkeypatch.setenv("XDG_CACHE_HOME", str(pytestconfig.cache.mkdir("snakejax")))
-    file = tmp_path / "result.json"
-    words = [str(case if word == "CASE" else word) for word in arguments]
+    file, fit = tmp_path / "result.json", tmp_path / "fit.json"
+    words = [str({"CASE": case, "FIT": fit}.get(word, word)) for word in arguments]
+    if "FIT" in arguments:
+        assert main(["fit", str(case), *FITTED, "--json", str(fit), "--quiet"]) == 0
     assert main([*words, "--json", str(file), "--quiet"]) == 0
     assert wrong(command, json.loads(file.read_text(encoding="utf-8"))) == []
 
