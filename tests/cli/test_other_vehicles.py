@@ -90,7 +90,7 @@ def test_a_gain_beside_a_constant_to_be_estimated_is_refused(car: Path) -> None:
     model = Model(vehicle, Pacejka(6.0, 1.4, 6.0, 0.1), "ideal")
     assert "is estimated" in (library(vehicle)["steering_gain"]().inapplicable_because(model) or "")
     assert library(vehicle)["drive_gain"]().inapplicable_because(model) is None
-    assert "without slip" in (library(vehicle)["load_transfer"]().inapplicable_because(model) or "")
+    assert "do not slip" in (library(vehicle)["load_transfer"]().inapplicable_because(model) or "")
 
 
 def test_the_options_of_a_car_are_those_of_its_vehicle(car: Path, capsys: pytest.CaptureFixture) -> None:

@@ -75,6 +75,18 @@ def add_model(command: Any, candidates: bool = False) -> None:
     group.add_argument(
         "--set", metavar="B=6,C=1.4", action="append", help="values of parameters in SI units, kept fixed"
     )
+    _add_effects_and_saved_fit(group)
+    if not candidates:
+        # The spelling before there was one for all commands.
+        group.add_argument("--effect", dest="with_", action="append", help=argparse.SUPPRESS)
+
+
+def add_saved_models(command: Any) -> None:
+    """The options of a command that takes its models from a saved fit."""
+    _add_effects_and_saved_fit(command.add_argument_group("model"), required=True)
+
+
+def _add_effects_and_saved_fit(group: Any, required: bool = False) -> None:
     group.add_argument(
         "--with",
         dest="with_",
@@ -83,11 +95,12 @@ def add_model(command: Any, candidates: bool = False) -> None:
         help="an effect in the model, built in or FILE.py:Class; given values are fixed. May be repeated",
     )
     group.add_argument(
-        "--from", dest="saved", metavar="FIT.json", help="use model, parameters and effects of a saved fit"
+        "--from",
+        dest="saved",
+        metavar="FIT.json",
+        required=required,
+        help="use model, parameters and effects of a saved fit",
     )
-    if not candidates:
-        # The spelling before there was one for all commands.
-        group.add_argument("--effect", dest="with_", action="append", help=argparse.SUPPRESS)
 
 
 def add_fitting(command: Any) -> Any:

@@ -7,7 +7,7 @@ from typing import Any
 from snakejax.core.errors import InputError
 from snakejax.core.progress import Phase, Progress, ProgressEvent
 
-from .options import add_command, add_output, finite, given, names
+from .options import add_command, add_output, add_saved_models, finite, given, names
 from .pipeline import Outcome, Stopwatch, each_case
 
 
@@ -23,16 +23,9 @@ def add(commands: Any) -> None:
         "snakejax predict data/small-car --from explain.json --horizon 1,2,3 --lead 0.5",
     )
     command.add_argument("cases", nargs="+", metavar="CASE", help="a folder with case.toml; it needs no train run")
-    command.add_argument("--from", dest="saved", metavar="FIT.json", required=True, help="result of fit or explain")
     command.add_argument("--horizon", metavar="S,...", default="1,2,3", help="seconds ahead (default 1,2,3)")
     command.add_argument("--lead", metavar="S", default="0.5", help="seconds of a lead-in (default 0.5)")
-    command.add_argument(
-        "--with",
-        dest="with_",
-        metavar="FILE.py:Class",
-        action="append",
-        help="an effect of your own in the saved models. May be repeated",
-    )
+    add_saved_models(command)
     command.add_argument("--seed", type=int, default=0, help=argparse.SUPPRESS)
     add_output(command)
 
