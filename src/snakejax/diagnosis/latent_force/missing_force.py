@@ -174,10 +174,12 @@ def _with_coexisting_effects(
         with ThreadPoolExecutor(WORKERS) as pool:
             forces = list(pool.map(partial(estimate_latent_force, candidate_set), steps))
         k = min(range(len(rest)), key=lambda k: forces[k].left)
-        coexists = _lowers_excess(forces[k], now, criteria.coexisting_excess_ratio)
-        if not (coexists and _far_from_neutral(candidate_set, rest[k], forces[k])):
+        # What laws explain counts on both sides.
+        best = forces[k].with_laws()
+        coexists = _lowers_excess(best, now, criteria.coexisting_excess_ratio)
+        if not (coexists and _far_from_neutral(candidate_set, rest[k], best)):
             break
-        now = dataclasses.replace(forces[k], beside=(*now.beside, rest.pop(k)))
+        now = dataclasses.replace(best, beside=(*now.beside, rest.pop(k)))
     return now
 
 
