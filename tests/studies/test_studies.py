@@ -42,7 +42,7 @@ def test_the_law_of_what_no_library_holds_is_found_and_is_the_same_as_an_effect_
     model = found.final.model
     law, gait = model.effects["law_1"], found.case.runs[0].gait
     written = fit.model.effects["missing_force"]
-    with_values = type(written)(**{name: value for name, (value, _) in own_parameters(law).items()})
+    with_values = type(written)(**{name: value for name, (value, _) in own_parameters(law)})
     both = [model, model.without("law_1").add(missing_force=with_values)]
     poses = [simulate(one, gait, np.linspace(0.0, 5.0, 51), (0.1, 0.2, 0.3)).pose for one in both]
     np.testing.assert_allclose(*poses, rtol=0, atol=1e-9)
