@@ -4,7 +4,6 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from snakejax.core.errors import InputError
 from snakejax.core.progress import Phase, Progress, ProgressEvent
 
 from .options import add_command, add_output, add_saved_models, finite, given, names
@@ -34,8 +33,6 @@ def run(options: argparse.Namespace) -> int:
     """Predict in each CASE."""
     horizons = [finite(part, "option --horizon", f"`{part}`") for part in names(options.horizon) or []]
     lead = finite(options.lead, "option --lead", f"`{options.lead}`")
-    if not horizons:
-        raise InputError("There is no horizon", "option --horizon", "give seconds, as in 1,2,3")
     return each_case(options, lambda case, say: work(options, case, (horizons, lead), say), to_train=False)
 
 

@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import equinox as eqx
+
 from snakejax.core.errors import InputError
 from snakejax.core.jax_config import prepare_jax
 from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
@@ -93,7 +95,7 @@ def predict(
     known: list[tuple[Model, dict[str, dict[str, PredictionError]]]] = []
     for done, (name, model) in enumerate(models.items()):
         progress(ProgressEvent(Phase.PREDICTION, f"predicting with {name}", done, len(models)))
-        errors = next((e for same, e in known if repr(same) == repr(model)), None)
+        errors = next((e for same, e in known if bool(eqx.tree_equal(same, model))), None)
         if errors is None:
             errors = prediction_errors(windows, predicted(model, windows), horizons)
             known.append((model, errors))

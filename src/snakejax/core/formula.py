@@ -1,6 +1,7 @@
 """Formulas written as text: arithmetic of named numbers, read once and evaluated with NumPy or JAX."""
 
 import ast
+import functools
 from collections.abc import Mapping
 from typing import Any
 
@@ -18,8 +19,9 @@ _OPERATORS = {
 }
 
 
+@functools.cache
 def parsed(text: str) -> ast.expr:
-    """The tree of one formula such as `-k * (x - x0)`, in Python's notation.
+    """The tree of one formula such as `-k * (x - x0)`, in Python's notation; the same tree for the same text.
 
     **Raises:** `InputError` for anything but names, numbers, + - * / **, and calls of `FUNCTIONS`.
     """

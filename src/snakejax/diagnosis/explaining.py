@@ -223,26 +223,8 @@ def _conclude(
     """The verdict on the last of the steps, and what is missing where it leaves more than noise."""
     last, steps = working_steps[-1], tuple(step.record for step in working_steps)
     final, left_out = steps[-1], steps[0].left_out
-    only_noise = consistent_with_noise(last.step.solution)
-    if only_noise and heldout_consistent(last.candidate_set, last.step, last.judgement):
-        verdict = "explained" if final.effects else "adequate"
-        share, explained_share = shares_of(steps)
-        sure = {effect: _confidence_where_exact(final, effect) for effect in final.effects}
-        return Explanation(
-            case,
-            noise,
-            steps,
-            verdict,
-            final.effects,
-            (),
-            left_out,
-            None,
-            confidence=sure,
-            share=share,
-            explained_share=explained_share,
-            bands=bands_of(final.fitted),
-            odd_runs=odd_runs_beside(last.candidate_set, last.step),
-        )
+    if _leaves_only_noise(last):
+        return _explained(case, noise, last, steps)
     missing = None
     if len(last.candidate_set.train) > 1:
         missing = _latent_force(diagnosis, last, progress)
@@ -281,27 +263,44 @@ def _conclude_with_law(
     """The verdict on a model with a law: it explains where only noise is left."""
     last, steps = with_law[-1], (diagnosis.base.record, *(step.record for step in with_law))
     final, left_out = steps[-1], steps[0].left_out
-    exact = consistent_with_noise(last.step.solution)
-    if exact and heldout_consistent(last.candidate_set, last.step, last.judgement):
-        share, explained_share = shares_of(steps)
-        sure = {effect: _confidence_where_exact(final, effect) for effect in final.effects}
-        return Explanation(
-            case,
-            noise,
-            steps,
-            "explained",
-            final.effects,
-            (),
-            left_out,
-            None,
-            confidence=sure,
-            share=share,
-            explained_share=explained_share,
-            bands=bands_of(final.fitted),
-            odd_runs=odd_runs_beside(last.candidate_set, last.step),
-            law=missing,
-        )
+    if _leaves_only_noise(last):
+        return _explained(case, noise, last, steps, missing)
     return Explanation(case, noise, steps, "unexplained", final.effects, (), left_out, missing, law=missing)
+
+
+def _leaves_only_noise(last: WorkingStep) -> bool:
+    """Whether the model of a step leaves only noise, in held-out runs too."""
+    return consistent_with_noise(last.step.solution) and heldout_consistent(
+        last.candidate_set, last.step, last.judgement
+    )
+
+
+def _explained(
+    case: Case,
+    noise: Noise,
+    last: WorkingStep,
+    steps: tuple[SelectionStep, ...],
+    law: LatentForce | None = None,
+) -> Explanation:
+    """The explanation by the `last` step, which leaves only noise; `law`: the force in which a law of it was found."""
+    final = steps[-1]
+    share, explained_share = shares_of(steps)
+    return Explanation(
+        case,
+        noise,
+        steps,
+        "explained" if final.effects else "adequate",
+        final.effects,
+        (),
+        steps[0].left_out,
+        None,
+        confidence={effect: _confidence_where_exact(final, effect) for effect in final.effects},
+        share=share,
+        explained_share=explained_share,
+        bands=bands_of(final.fitted),
+        odd_runs=odd_runs_beside(last.candidate_set, last.step),
+        law=law,
+    )
 
 
 def _confidence_where_exact(final: SelectionStep, effect: str) -> str:

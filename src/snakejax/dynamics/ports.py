@@ -51,63 +51,57 @@ class Effect(Parametrised):
         return None
 
 
-def _nothing_to_move(model: "Model") -> str | None:
-    if not model.constraint.slips and not model.board.independent:
-        return "without slip the inputs alone prescribe the motion."
-    return None
+class _Load(Effect):
+    """A force on the vehicle, which needs something that it can move."""
+
+    def inapplicable_because(self, model: "Model") -> str | None:
+        if not model.constraint.slips and not model.board.independent:
+            return "without slip the inputs alone prescribe the motion."
+        return None
 
 
-def _no_lateral_force(model: "Model") -> str | None:
-    if not model.constraint.slips:
-        return f"the wheels of this {model.board.noun} do not slip, so its tyres have no lateral force to change."
-    return None
+class _OfGrip(Effect):
+    """A change of the lateral force of the wheels, which need to slip."""
+
+    def inapplicable_because(self, model: "Model") -> str | None:
+        if not model.constraint.slips:
+            return f"the wheels of this {model.board.noun} do not slip, so its tyres have no lateral force to change."
+        return None
 
 
-class Force(Effect):
+class Force(_Load):
     """Adds a wrench on the body."""
 
     @abc.abstractmethod
     def wrench(self, motion: Motion) -> Wrench:
         """(X, Y, N): force along and across the body [N] and yaw moment [N m]."""
 
-    def inapplicable_because(self, model: "Model") -> str | None:
-        return _nothing_to_move(model)
 
-
-class RollingForce(Effect):
+class RollingForce(_Load):
     """Adds a force against the rolling of each wheelset."""
 
     @abc.abstractmethod
     def resistance(self, wheel: Wheel, motion: Motion) -> Scalar:
         """T_i [N], positive against forward rolling."""
 
-    def inapplicable_because(self, model: "Model") -> str | None:
-        return _nothing_to_move(model)
 
-
-class LateralForce(Effect):
+class LateralForce(_OfGrip):
     """Changes the lateral force of each wheelset."""
 
     @abc.abstractmethod
     def lateral(self, force: Scalar, wheel: Wheel, motion: Motion) -> Scalar:
         """The changed F_i [N], positive against the slip."""
 
-    def inapplicable_because(self, model: "Model") -> str | None:
-        return _no_lateral_force(model)
 
-
-class TyreModifier(Effect):
+class TyreModifier(_OfGrip):
     """Changes the tyre with the motion."""
 
     @abc.abstractmethod
     def tyre(self, tyre: AbstractTyre, motion: Motion) -> AbstractTyre:
         """The tyre at this position, velocity and time."""
 
-    def inapplicable_because(self, model: "Model") -> str | None:
-        return _no_lateral_force(model)
 
-
-class TyreState(Effect):
+class TyreState(_OfGrip):
     """Gives each wheelset a state m [rad] between its slip angle and its force."""
 
     @abc.abstractmethod
@@ -117,9 +111,6 @@ class TyreState(Effect):
     @abc.abstractmethod
     def slip(self, memory: Scalar, slip: Scalar) -> Scalar:
         """The slip angle [rad] that determines the force of the tyre."""
-
-    def inapplicable_because(self, model: "Model") -> str | None:
-        return _no_lateral_force(model)
 
 
 class InputModifier(Effect):

@@ -55,6 +55,14 @@ def score_columns(train: Sequence[Score], heldout: Sequence[Score | None]) -> di
     }
 
 
+def run_misfits(problem: Problem, solution: Solution, runs: Sequence[int]) -> np.ndarray:
+    """The misfit of each of `runs` at `solution`."""
+    runs = list(runs)
+    present = np.asarray(problem.batch.weight)[runs] > 0
+    square = np.where(present, np.asarray(solution.linearised.residual)[runs] ** 2, 0.0)
+    return square.sum(axis=(1, 2)) / np.maximum(present.sum(axis=(1, 2)), 1)
+
+
 def run_scores(problem: Problem, solution: Solution, runs: Sequence[int]) -> tuple[RunScore, ...]:
     """The score of each of `runs` at `solution`."""
     weight = np.asarray(problem.batch.weight)

@@ -249,17 +249,18 @@ def _solved_by_elimination(model, at: Variables, batch: Batch, runs: list[int], 
     width, R = at.directions.shape[0], len(free_start)
     last: dict[str, tuple] = {}
 
-    def of_runs(z: np.ndarray, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def at_point(z: np.ndarray, starts: np.ndarray, numbers: np.ndarray) -> Linearised:
         all_starts = np.zeros_like(free_start)
         all_starts[runs] = starts
-        found = _in_threads(model, at, batch, runs, accuracy, z, all_starts)
+        return _in_threads(model, at, batch, [runs[k] for k in numbers], accuracy, z, all_starts)
+
+    def of_runs(z: np.ndarray, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        found = at_point(z, starts, np.arange(len(runs)))
         last["found"] = (z.copy(), starts.copy(), found)
         return np.asarray(found.residual)[runs], np.asarray(found.jacobian)[runs]
 
     def of_some(starts: np.ndarray, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        all_starts, some = np.zeros_like(free_start), [runs[k] for k in numbers]
-        all_starts[runs] = starts
-        found = _in_threads(model, at, batch, some, accuracy, np.zeros(width), all_starts)
+        found, some = at_point(np.zeros(width), starts, numbers), [runs[k] for k in numbers]
         return np.asarray(found.residual)[some], np.asarray(found.jacobian)[some]
 
     def robust(parts: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -280,7 +281,6 @@ def _solved_by_elimination(model, at: Variables, batch: Batch, runs: list[int], 
     moves[runs] = solved.starts
     values = retract(domains_of(model, at.names), at, jnp.asarray(solved.z))
     ended = eqx.tree_at(lambda u: (u.values, u.start), at, (values, at.start + at.free_start * jnp.asarray(moves)))
-    assert width == len(solved.z)
     return ended, last["found"][2], solved.taken, solved.settled
 
 

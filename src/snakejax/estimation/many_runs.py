@@ -54,13 +54,10 @@ def eliminated_step(
     normal, right = np.zeros((width, width)), np.zeros(width)
     parts = []
     for k, (r, J) in enumerate(zip(residual, jacobian, strict=True)):
-        G, S = J[:, :width], J[:, width:]
-        movable = (free_start[k] > 0) & ((S**2).sum(axis=0) > 0)
-        S = S[:, movable]
-        rows = np.diag(np.sqrt(damping * (S**2).sum(axis=0)))
-        S = np.concatenate([S, rows])
-        G, r = (np.concatenate([part, np.zeros((len(rows), *part.shape[1:]))]) for part in (G, r))
-        basis, triangle = np.linalg.qr(S)
+        movable, S, S_damped = _damped(J[:, width:], free_start[k], damping)
+        below = len(S_damped) - len(S)
+        G, r = (np.concatenate([part, np.zeros((below, *part.shape[1:]))]) for part in (J[:, :width], r))
+        basis, triangle = np.linalg.qr(S_damped)
         inside = basis.T @ G
         rest = basis.T @ r
         normal += G.T @ G - inside.T @ inside
@@ -85,7 +82,7 @@ def solve_many(
     prior: Arrays,
     ending: Ending,
 ) -> Solved:
-    """Minimise chi^2 from steps zero. A run whose start state made it worse keeps the start it had.
+    """Minimise chi^2 from steps zero.
 
     **Arguments:** `linearise(z, starts)`: residual (R, n, 3) and Jacobian (R, n, 3, K + S) at these steps; `robust`:
     what a loss makes of them; `free_start` (R, S); `prior`: (mean, 1 / standard deviation) of z, each (K,).
@@ -141,14 +138,11 @@ def solve_starts(
         moves, promise = np.zeros_like(starts), np.zeros(len(starts))
         cost = (residual**2).sum(axis=1)
         for k, (r, J) in enumerate(zip(residual, jacobian, strict=True)):
-            S = J[:, width:]
-            movable = (free_start[k] > 0) & ((S**2).sum(axis=0) > 0)
-            if not (np.isfinite(r).all() and np.isfinite(S).all() and movable.any()):
+            movable, S, S_damped = _damped(J[:, width:], free_start[k], damping[k])
+            if not (np.isfinite(r).all() and np.isfinite(J[:, width:]).all() and movable.any()):
                 continue
-            S = S[:, movable]
-            rows = np.diag(np.sqrt(damping[k] * (S**2).sum(axis=0)))
-            right = np.concatenate([-r, np.zeros(len(rows))])
-            moves[k, movable] = np.linalg.lstsq(np.concatenate([S, rows]), right, rcond=1e-12)[0]
+            right = np.concatenate([-r, np.zeros(len(S_damped) - len(S))])
+            moves[k, movable] = np.linalg.lstsq(S_damped, right, rcond=1e-12)[0]
             promise[k] = cost[k] - float(((r + S @ moves[k, movable]) ** 2).sum())
         moving = promise > np.maximum(ending.enough / len(starts), LITTLE * cost)
         moving &= damping < MOST_DAMPING
@@ -165,6 +159,13 @@ def solve_starts(
         damping[numbers] *= 10
         damping[better] = np.maximum(damping[better] / 100, LEAST_DAMPING)
     return Solved(z, starts, taken, settled)
+
+
+def _damped(S: np.ndarray, free_start: np.ndarray, damping: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The start components of a run that can move, the columns `S` of these, and the same over the rows of damping."""
+    movable = (free_start > 0) & ((S**2).sum(axis=0) > 0)
+    S = S[:, movable]
+    return movable, S, np.concatenate([S, np.diag(np.sqrt(damping * (S**2).sum(axis=0)))])
 
 
 def _flat(parts: Arrays) -> Arrays:

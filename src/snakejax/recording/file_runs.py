@@ -17,7 +17,7 @@ from snakejax.dynamics.vehicle import AbstractVehicle
 
 from .annotations import annotations_of
 from .case_inputs import HISTORY, KINDS, RawInputs, Signal
-from .continuous import LEAST_MOTION, chosen_windows, continuous_parts, jumps, mean_speed
+from .continuous import LEAST_MOTION, chosen_windows, jumps, mean_speed
 from .quality import smoothed
 from .readers import FEWEST_SAMPLES, FileAnnotations, PoseTrack, read_capture
 from .readers.capture import X_AXIS_DIRECTIONS, Body
@@ -182,11 +182,6 @@ def whole(recorded: Recorded) -> Cut:
     """The whole recording."""
     track = recorded.track
     return Cut(recorded.name, track.times, track.pose, _signals(recorded, 0.0, -math.inf, math.inf))
-
-
-def moving_parts(cut: Cut) -> list[np.ndarray]:
-    """The numbers of the frames of each continuous part of a recording."""
-    return continuous_parts(cut.times, cut.pose)
 
 
 def _cut(recorded: Recorded, frames: np.ndarray) -> Cut:

@@ -12,7 +12,7 @@ from snakejax.core.progress import Phase, Progress, ProgressEvent
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.dynamics.law import law_class
 from snakejax.dynamics.ports import Effect
-from snakejax.estimation.goodness_of_fit import consistent_with_noise
+from snakejax.estimation.goodness_of_fit import consistent_with_noise, run_misfits
 from snakejax.estimation.initial_model import default_free
 from snakejax.estimation.initialisation import continue_to_convergence
 from snakejax.recording.run import Case, Noise
@@ -106,19 +106,15 @@ def left_out_misfits(candidate_set: CandidateSet, fit: CandidateFit) -> np.ndarr
     return np.nan_to_num(np.array(misfits), nan=np.inf)
 
 
-def own_misfits(candidate_set: CandidateSet, fit: CandidateFit) -> np.ndarray:
-    """The misfit (R,) of each train run under the parameters of the fit."""
-    train = list(candidate_set.train)
-    present = np.asarray(candidate_set.problem.batch.weight)[train] > 0
-    square = np.where(present, np.asarray(fit.solution.linearised.residual)[train] ** 2, 0.0)
-    return square.sum(axis=(1, 2)) / np.maximum(present.sum(axis=(1, 2)), 1)
-
-
 def expected_misfits(candidate_set: CandidateSet, fit: CandidateFit) -> np.ndarray:
     """The misfit (R,) of train runs that were left out; where the fit is far from the recordings, that of its own
     runs, which is smaller."""
     near = fit.solution.misfit < candidate_set.criteria.far_misfit
-    return left_out_misfits(candidate_set, fit) if near else own_misfits(candidate_set, fit)
+    return (
+        left_out_misfits(candidate_set, fit)
+        if near
+        else run_misfits(candidate_set.problem, fit.solution, candidate_set.train)
+    )
 
 
 def predicts_better(after: np.ndarray, before: np.ndarray) -> bool:
@@ -171,7 +167,9 @@ def best_laws(
         if not fit.solution.misfit < like.step.solution.misfit:
             return None
         if consistent_with_noise(fit.solution) and accept_addition(candidate_set, like.step, fit):
-            return AddedLaws(laws, candidate_set, fit, own_misfits(candidate_set, fit))
+            return AddedLaws(
+                laws, candidate_set, fit, run_misfits(candidate_set.problem, fit.solution, candidate_set.train)
+            )
         # Far from the noise a linear model says nothing about runs left out.
         progress(ProgressEvent(Phase.PREDICTION, f"does {told} predict runs that were left out?"))
         return AddedLaws(laws, candidate_set, fit, left_out_misfits(candidate_set, fit))

@@ -103,15 +103,15 @@ def _dressed(run: Run, played: Any, residual: np.ndarray, sd: np.ndarray, board:
     n = run.times.shape[0]
     motion, force, pose, states = jax.tree.map(lambda leaf: np.asarray(leaf)[:n], played)
     track = ResidualSeries(run.name, run.role, np.asarray(run.times), residual, sd, _named(motion, board))
-    wheels = motion.wheels
+    wheels, joints = motion.wheels, {name: joint.angle for name, joint in motion.inputs.items()}
     speed = np.stack([wheel.lateral for wheel in wheels], axis=1)
     rolling = np.stack([wheel.rolling for wheel in wheels], axis=1)
     return RunReplay(
         track,
         np.where(np.isfinite(np.asarray(run.pose)).all(axis=1, keepdims=True), np.asarray(run.pose), np.nan),
         pose,
-        _placed(board, motion),
-        {name: joint.angle for name, joint in motion.inputs.items()},
+        _placed(board, motion, joints),
+        joints,
         speed,
         np.asarray(slip_angle(speed, rolling, board.creep_speed)),
         np.stack(force, axis=1),
@@ -120,9 +120,10 @@ def _dressed(run: Run, played: Any, residual: np.ndarray, sd: np.ndarray, board:
     )
 
 
-def _placed(vehicle: AbstractVehicle, motion: Motion) -> Float[np.ndarray, "n W 3"]:
-    """Place and angle of each wheelset in the base frame."""
-    angles = {name: joint.angle for name, joint in motion.inputs.items()}
+def _placed(
+    vehicle: AbstractVehicle, motion: Motion, angles: dict[str, Float[np.ndarray, " n"]]
+) -> Float[np.ndarray, "n W 3"]:
+    """Place and angle of each wheelset in the base frame, at the joint `angles`."""
     placed = []
     for wheelset, wheel in zip(vehicle.wheelsets, motion.wheels, strict=True):
         x, y, angle = vehicle.placement(wheelset, angles)

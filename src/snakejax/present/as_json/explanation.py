@@ -63,11 +63,7 @@ def explanation_json(explanation: Explanation, provenance: Json, seconds: Json |
         "verdict": explanation.verdict,
         "effects": list(explanation.effects),
         "final": {
-            "model": model_kind(final.model),
-            "skid": constraint_kind(final.model),
-            "vehicle": vehicle_json(final.model),
-            "parameters": parameters_json(_tyre(final)),
-            "effects": _effects(final),
+            **fitted_json(final),
             "misfit": misfit_json(final.train, final.heldout),
             "rmse": rmse_json(final.train, final.heldout),
             "runs": runs_json(final.runs),
@@ -148,23 +144,29 @@ def _effects(step: SelectionStep) -> Json:
     return {effect: parts.get(effect, {}) for effect in step.effects}
 
 
+def fitted_json(step: SelectionStep) -> Json:
+    """The model of a step with its values."""
+    return {
+        "model": model_kind(step.model),
+        "skid": constraint_kind(step.model),
+        "vehicle": vehicle_json(step.model),
+        "parameters": parameters_json(_tyre(step)),
+        "effects": _effects(step),
+    }
+
+
 def step_json(step: SelectionStep) -> Json:
     """One step of the loop."""
+    fitted = fitted_json(step)
     return {
         step.change: step.name,
-        "estimate": {n: part for n, part in _effects(step).get(step.name, {}).items() if n != EXPRESSION},
+        "estimate": {n: part for n, part in fitted["effects"].get(step.name, {}).items() if n != EXPRESSION},
         "misfit": misfit_json(step.train, step.heldout),
         "rmse": rmse_json(step.train, step.heldout),
         "converged": step.converged,
         "after": after_json(step),
         "ranking": [ranked_json(row) for row in step.ranking],
-        "fitted": {
-            "model": model_kind(step.model),
-            "skid": constraint_kind(step.model),
-            "vehicle": vehicle_json(step.model),
-            "parameters": parameters_json(_tyre(step)),
-            "effects": _effects(step),
-        },
+        "fitted": fitted,
     }
 
 

@@ -57,22 +57,20 @@ _REMEDY = "name a file that `snakejax fit CASE --json FILE` wrote"
 
 def result_of(path: Path | str) -> dict[str, Any]:
     """The JSON at `path`. **Raises:** `InputError` where it is none."""
-    remedy = _REMEDY
     try:
         result = json.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
-        raise InputError(f"Cannot read the saved fit ({error.strerror})", str(path), remedy) from None
+        raise InputError(f"Cannot read the saved fit ({error.strerror})", str(path), _REMEDY) from None
     except UnicodeDecodeError:
-        raise InputError("The saved fit is not text", str(path), remedy) from None
+        raise InputError("The saved fit is not text", str(path), _REMEDY) from None
     except json.JSONDecodeError as error:
-        raise InputError(f"The saved fit is not JSON ({error.msg})", at_line(path, error.lineno), remedy) from None
+        raise InputError(f"The saved fit is not JSON ({error.msg})", at_line(path, error.lineno), _REMEDY) from None
     if not isinstance(result, dict):
-        raise InputError("The file does not hold a fit", str(path), remedy)
+        raise InputError("The file does not hold a fit", str(path), _REMEDY)
     return result
 
 
 def _saved(result: dict[str, Any], path: Path | str) -> SavedFit:
-    remedy = _REMEDY
     try:
         part = result.get("final") or result["base"]
         values = {name: float(entry["value"]) for name, entry in part["parameters"].items()}
@@ -90,10 +88,10 @@ def _saved(result: dict[str, Any], path: Path | str) -> SavedFit:
             vehicle = vehicle["kind"], {name: float(c["value"]) for name, c in vehicle["constants"].items()}
         saved = SavedFit(kind, structure, values, effects, vehicle, laws)
     except (KeyError, TypeError, AttributeError, ValueError):
-        raise InputError("The file does not hold a fit", str(path), remedy) from None
+        raise InputError("The file does not hold a fit", str(path), _REMEDY) from None
     if saved.model not in MODEL_KINDS or saved.constraint not in STRUCTURES:
         raise InputError(
-            f"The saved model is `{saved.model}`, `{saved.constraint}`, which no fit has", str(path), remedy
+            f"The saved model is `{saved.model}`, `{saved.constraint}`, which no fit has", str(path), _REMEDY
         )
     return saved
 

@@ -6,6 +6,7 @@ Each function returns the page as text. It needs no network and no other file.
 from collections.abc import Sequence
 
 from snakejax.diagnosis.explanation import Explanation
+from snakejax.diagnosis.latent_force.missing_force import LatentForce
 from snakejax.diagnosis.selection.steps import SelectionStep
 from snakejax.estimation.fit_record import Fit
 from snakejax.recording.case import Case
@@ -80,15 +81,10 @@ def explanation_page(found: Explanation, result: Json, models: Sequence[ModelVie
     """The report of an explanation, from the base model to the verdict; `models` are those of `views_of_steps`."""
     parts: list[Section] = [sections.paths(models), residuals(models)]
     if found.missing is not None and result["unexplained"] is not None:
-        charts = figures.missing(found.missing)
-        if found.missing.depends_on and found.missing.shape is not None:
-            charts.insert(0, figures.shape(found.missing, found.missing.depends_on[0][0], models[0]))
+        charts = _force_charts(found.missing, models[0])
         parts.append(sections.missing(result, components_text(found.missing), charts))
     elif found.law is not None:
-        charts = figures.missing(found.law)
-        if found.law.depends_on and found.law.shape is not None:
-            charts.insert(0, figures.shape(found.law, found.law.depends_on[0][0], models[0]))
-        parts.append(sections.law(found, components_text(found.law), charts))
+        parts.append(sections.law(found, components_text(found.law), _force_charts(found.law, models[0])))
     if found.confidence or found.candidates:
         said = [f"{effect}: {' '.join(confidence_sentences(found, effect))}" for effect in found.confidence]
         beside = (floor_sentences, horizon_sentences, band_sentences, odd_run_sentences)
@@ -108,6 +104,14 @@ def explanation_page(found: Explanation, result: Json, models: Sequence[ModelVie
         found.case, found.noise, title(found), warnings(found.steps), models, parts, result, found.base.model.board
     )
     return render(page._replace(lead=tuple(first_lines(found))))
+
+
+def _force_charts(force: LatentForce, base: ModelView) -> list[figures.Chart]:
+    """The force of each run, and before them, where it depends on a variable, the force over that variable."""
+    charts = figures.missing(force)
+    if force.depends_on and force.shape is not None:
+        charts.insert(0, figures.shape(force, force.depends_on[0][0], base))
+    return charts
 
 
 def _page(
