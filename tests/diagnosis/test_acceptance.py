@@ -18,7 +18,7 @@ from snakejax.diagnosis.selection.acceptance import (
 )
 from snakejax.diagnosis.selection.candidates import CandidateFit
 from snakejax.diagnosis.selection.criteria import CRITERIA
-from snakejax.estimation.least_squares import Linearised
+from snakejax.estimation.linearisation import Linearised
 
 
 def test_the_threshold_is_passed_by_chance_as_often_as_the_level_says():

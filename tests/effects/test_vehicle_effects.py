@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from snakejax import Model, Pacejka, Sines
+from snakejax import Board, Model, Pacejka, Sines
 from snakejax.core.parameter import parameters, with_parameters
 from snakejax.dynamics.axle_tyres import FrontRear
 from snakejax.dynamics.inputs import Inputs
@@ -32,7 +32,6 @@ INPUTS = {
     "roller_racer": {"handle": [[0.6, 3.0, 0.3]]},
 }
 T = jnp.asarray(0.6)
-STRENGTH = {"lag": 0.1, "tau": 0.1, "tyre_relaxation.sigma": 0.1}
 PAIRS = [(kind, name) for kind, (vehicle, _) in VEHICLES.items() for name in library(vehicle)]
 MOTION = (0.2, -0.1, 0.5, 0.9, 0.15, 0.7)
 """x, y, heading, u, w, r."""
@@ -49,18 +48,18 @@ def inputs_of(kind: str) -> Inputs:
     return Inputs({name: Sines.of(terms) for name, terms in INPUTS[kind].items()})
 
 
-def rates(model: Model, kind: str, memory: float = 0.05) -> np.ndarray:
+def rates(model: Model, kind: str) -> np.ndarray:
     """The rates of the body where it moves, and its observed pose."""
     body, memories = model.start((jnp.zeros(()),) * 3)
     body = tuple(map(jnp.asarray, [*MOTION, 0.4][: len(body)]))
-    memories = jax.tree.map(lambda leaf: jnp.full_like(leaf, memory), memories)
+    memories = jax.tree.map(lambda leaf: jnp.full_like(leaf, 0.05), memories)
     done = model.rates(T - model.delay(), (body, memories), inputs_of(kind))[0]
     return np.array([*done, *model.observe(body)])
 
 
-def strong(effect, scale: float = 1.0):
+def strong(effect):
     """The effect with each parameter well away from neutral."""
-    return with_parameters(effect, {name: jnp.asarray(0.1 * scale) for name in parameters(effect)})
+    return with_parameters(effect, {name: jnp.asarray(0.1) for name in parameters(effect)})
 
 
 @pytest.mark.parametrize("structure", ["free", "ideal"])
@@ -225,7 +224,5 @@ def test_a_gain_is_refused_where_the_constant_that_does_the_same_is_estimated() 
 
 
 def test_the_library_of_a_board_is_the_24() -> None:
-    from snakejax import Board
-
     board = Board(mass=7.0, rotor_inertia=0.0238, wheelset_inertia=0.001, half_length=0.25)
     assert library(board) is LIBRARY and len(LIBRARY) == 24

@@ -30,7 +30,7 @@ from snakejax.estimation.initialisation import (
     inconsistent_derivative,
     require_near,
 )
-from snakejax.estimation.least_squares import project_out_starts
+from snakejax.estimation.linearisation import project_out_starts
 from snakejax.estimation.problem import Problem, Solution, covariance_of
 from snakejax.estimation.profile_likelihood import profile
 from snakejax.estimation.uncertainty import estimates_of

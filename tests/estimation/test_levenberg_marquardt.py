@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from snakejax.core.parameter import Domain
-from snakejax.estimation.least_squares import REACH, Variables, retract
 from snakejax.estimation.levenberg_marquardt import StoppingRule, levenberg_marquardt
+from snakejax.estimation.linearisation import REACH, Variables, retract
 
 
 def rule(enough=1e-12, crawl=0.0, samples=1e9, most=60):

@@ -10,7 +10,7 @@ from snakejax import (
 )
 from snakejax.core.parameter import parameters
 from snakejax.estimation.fit_workspace import problem_of
-from snakejax.estimation.least_squares import domains_of
+from snakejax.estimation.linearisation import domains_of
 from snakejax.estimation.posterior import LIKELY
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from snakejax.diagnosis.selection.candidates import CandidateFit, CandidateSet
 from snakejax.diagnosis.selection.criteria import CRITERIA
-from snakejax.estimation.least_squares import Linearised
+from snakejax.estimation.linearisation import Linearised
 from snakejax.estimation.problem import Solution
 
 

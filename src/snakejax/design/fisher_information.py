@@ -12,7 +12,7 @@ from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.ports import Effect
 from snakejax.estimation.fit_record import Fit
-from snakejax.estimation.least_squares import domains_of, project_out_starts
+from snakejax.estimation.linearisation import domains_of, project_out_starts
 from snakejax.estimation.multiple_shooting import linearise_windows
 from snakejax.estimation.problem import Problem
 from snakejax.estimation.sensitivity import DETECTABLE_SD, Sensitivities

@@ -51,13 +51,18 @@ class Effect(Parametrised):
         return None
 
 
+def nothing_to_move(model: "Model") -> str | None:
+    """The reason why no force can move the vehicle of `model`, or None."""
+    if not model.constraint.slips and not model.board.independent:
+        return "without slip the inputs alone prescribe the motion."
+    return None
+
+
 class _Load(Effect):
     """A force on the vehicle, which needs something that it can move."""
 
     def inapplicable_because(self, model: "Model") -> str | None:
-        if not model.constraint.slips and not model.board.independent:
-            return "without slip the inputs alone prescribe the motion."
-        return None
+        return nothing_to_move(model)
 
 
 class _OfGrip(Effect):

@@ -84,6 +84,11 @@ def wheels_across(length: float, half_track: float) -> tuple[Stroke, ...]:
     return tuple(Stroke(((-half, y), (half, y))) for y in sorted({-half_track, half_track}))
 
 
+def axle_outline(length: float, half_track: float) -> tuple[Stroke, ...]:
+    """The picture of an axle with the two wheels of `wheels_across`."""
+    return Stroke(((0.0, -half_track), (0.0, half_track))), *wheels_across(length, half_track)
+
+
 class AbstractVehicle(Parametrised):
     """A planar vehicle on wheels: rigid bodies, joints, wheels and inputs.
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from snakejax.core.parameter import Scalar, param
 from snakejax.dynamics.contact import Motion, Wheel
-from snakejax.dynamics.ports import Geometry, LateralForce, RollingForce
+from snakejax.dynamics.ports import Geometry, LateralForce, RollingForce, nothing_to_move
 from snakejax.dynamics.vehicle import AbstractVehicle
 
 if TYPE_CHECKING:
@@ -125,6 +125,4 @@ class InertiaFactor(Geometry):
     def inapplicable_because(self, model: "Model") -> str | None:
         if getattr(model.board, "inertia", None) is None:
             return f"the inertia of this {model.board.noun} follows from its mass."
-        if not model.constraint.slips and not model.board.independent:
-            return "without slip the inputs alone prescribe the motion."
-        return None
+        return nothing_to_move(model)

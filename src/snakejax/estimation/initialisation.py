@@ -10,7 +10,7 @@ from snakejax.core.errors import FitError
 from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
 from snakejax.recording.run import Run
 
-from .least_squares import domains_of, project_out_starts
+from .linearisation import domains_of, project_out_starts
 from .multiple_shooting import LENGTH, Windows, WindowSolution
 from .problem import Problem, Solution
 

@@ -18,7 +18,7 @@ from snakejax.dynamics.model import Model
 from snakejax.recording.run import Noise, Run
 from snakejax.simulation.integrate import Accuracy
 
-from .least_squares import Linearised, Variables, domains_of, first, linearise, narrowed, widened
+from .linearisation import Linearised, Variables, domains_of, first, linearise, narrowed, widened
 from .problem import Problem, dependence_of
 
 _linearise = eqx.filter_jit(linearise)

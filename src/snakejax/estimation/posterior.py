@@ -12,7 +12,7 @@ from snakejax.dynamics.model import Model
 
 from .fit_record import Fit
 from .fit_workspace import problem_of
-from .least_squares import domains_of, project_out_starts
+from .linearisation import domains_of, project_out_starts
 from .problem import Problem, Solution, covariance_of
 from .uncertainty import spread
 

@@ -14,18 +14,9 @@ from snakejax.recording.run import Noise, Run
 from snakejax.simulation.integrate import Accuracy
 
 from .batch import Batch, batch
-from .least_squares import (
-    LeastSquaresResult,
-    Linearised,
-    SolverSettings,
-    Variables,
-    domains_of,
-    evaluate,
-    project_out_starts,
-    solve,
-    variables,
-)
+from .least_squares import LeastSquaresResult, SolverSettings, evaluate, solve
 from .levenberg_marquardt import MOST_STEPS
+from .linearisation import Linearised, Variables, domains_of, project_out_starts, variables
 
 FIT_ACCURACY = Accuracy(rtol=3e-7, atol=3e-9, max_steps=32768, derivative="forward")
 """Tolerances of the simulations in a fit: their errors are below 1 % of the noise. With larger errors the misfit is not

@@ -4,7 +4,7 @@ import numpy as np
 
 from .fit_record import Fit
 from .fit_workspace import problem_of
-from .least_squares import domains_of
+from .linearisation import domains_of
 from .problem import Solution
 from .uncertainty import spread
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from .least_squares import Linearised
+from .linearisation import Linearised
 from .multiple_shooting import linearise_windows
 from .problem import Problem
 

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from .goodness_of_fit import consistent_with_noise
 from .jackknife import left_out_sd
-from .least_squares import domains_of, project_out_starts
+from .linearisation import domains_of, project_out_starts
 from .multiple_shooting import LENGTH
 from .problem import Problem, Solution
 

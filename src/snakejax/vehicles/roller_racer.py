@@ -8,7 +8,7 @@ from snakejax.core.fast_math import sine_cosine
 from snakejax.core.parameter import Scalar, param
 from snakejax.dynamics.constraints import AbstractConstraint, NonSlipping, Slipping
 from snakejax.dynamics.inputs import Input
-from snakejax.dynamics.vehicle import AbstractVehicle, Angles, Body, Placement, Stroke, Wheelset, wheels_across
+from snakejax.dynamics.vehicle import AbstractVehicle, Angles, Body, Placement, Stroke, Wheelset, axle_outline
 
 
 class RollerRacer(AbstractVehicle):
@@ -88,8 +88,7 @@ class RollerRacer(AbstractVehicle):
     def wheel_outline(self, wheelset: Wheelset) -> tuple[Stroke, ...]:
         """An axle with two wheels."""
         del wheelset
-        half = 0.3 * float(self.length)
-        return Stroke(((0.0, -half), (0.0, half))), *wheels_across(float(self.length), half)
+        return axle_outline(float(self.length), 0.3 * float(self.length))
 
 
 ROLLER_RACER = dict(seat_mass=1.0, inertia=1.0, handle_mass=0.0, handle_inertia=1.0, pivot=1.0, front=0.5)

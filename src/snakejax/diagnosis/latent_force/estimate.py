@@ -21,7 +21,7 @@ from scipy import linalg
 from snakejax.core.parameter import parameters, with_parameters
 from snakejax.dynamics.model import Model
 from snakejax.estimation.batch import Batch
-from snakejax.estimation.least_squares import Variables, domains_of
+from snakejax.estimation.linearisation import Variables, domains_of
 from snakejax.estimation.problem import DEPENDENT, Problem
 
 from ..selection.candidates import CandidateSet

@@ -11,7 +11,7 @@ from snakejax.core.parameter import with_parameters
 from snakejax.dynamics.contact import slip_angle
 from snakejax.dynamics.model import Model
 from snakejax.estimation.batch import Batch
-from snakejax.estimation.least_squares import Variables, domains_of, retract
+from snakejax.estimation.linearisation import Variables, domains_of, retract
 from snakejax.simulation.integrate import Accuracy, motions, simulate
 
 from .piecewise_force import SPACING, FreeForce, FreeGrip

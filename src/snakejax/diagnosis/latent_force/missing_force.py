@@ -13,7 +13,7 @@ import numpy as np
 from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
 from snakejax.core.tabular import Tabular
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
-from snakejax.estimation.least_squares import domains_of
+from snakejax.estimation.linearisation import domains_of
 from snakejax.estimation.uncertainty import Estimate
 
 from ..law.search import ProposedLaw, search

@@ -26,7 +26,7 @@ from snakejax.dynamics.ports import LateralForce, Sensor
 from snakejax.dynamics.tyres import Rayleigh
 from snakejax.estimation.batch import padded_length
 from snakejax.estimation.fitted_model import FittedModel
-from snakejax.estimation.least_squares import domains_of
+from snakejax.estimation.linearisation import domains_of
 
 from .replays import RunReplay
 

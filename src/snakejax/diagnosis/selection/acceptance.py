@@ -4,7 +4,7 @@ import numpy as np
 from scipy import stats
 
 from snakejax.estimation.goodness_of_fit import NOISE_SIGMAS, consistent_with_noise, noise_band
-from snakejax.estimation.least_squares import project_out_starts
+from snakejax.estimation.linearisation import project_out_starts
 from snakejax.estimation.problem import Solution, covariance_of
 from snakejax.estimation.uncertainty import spread
 

@@ -9,7 +9,7 @@ from scipy import stats
 from snakejax.dynamics.model import Model
 from snakejax.estimation.goodness_of_fit import noise_band
 from snakejax.estimation.jackknife import left_out_sd
-from snakejax.estimation.least_squares import Linearised, domains_of, orthonormal_basis, project_out_starts
+from snakejax.estimation.linearisation import Linearised, domains_of, orthonormal_basis, project_out_starts
 from snakejax.estimation.multiple_shooting import LENGTH
 from snakejax.estimation.sensitivity import DETECTABLE_SD, NEARER, Sensitivities
 

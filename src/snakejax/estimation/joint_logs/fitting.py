@@ -24,7 +24,7 @@ from ..fit_workspace import FitWorkspace, fit_workspace
 from ..fitting import fitted_workspace
 from ..initial_model import default_free, select_parameters
 from ..initialisation import require_consistent_derivative
-from ..least_squares import project_out_starts
+from ..linearisation import project_out_starts
 from ..problem import Problem, Solution, covariance_of
 from ..uncertainty import spread
 from .clocks import STEPS, STILL, clock_sensitivities, clock_sensitivity, free_clocks, moved_clock

@@ -14,7 +14,7 @@ from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
 from snakejax.dynamics.model import Model
 from snakejax.recording.run import Noise, Run
 
-from ..least_squares import project_out_starts
+from ..linearisation import project_out_starts
 from ..multiple_shooting import LENGTH, Windows, WindowSolution
 from ..problem import Problem, covariance_of, dependence_of
 from .clocks import STILL, clock_sensitivities, clock_sensitivity, free_clocks, moved_clock

@@ -10,7 +10,7 @@ from snakejax.core.parameter import Scalar, param
 from snakejax.dynamics.constraints import AbstractConstraint
 from snakejax.dynamics.inputs import Gait, Input
 from snakejax.dynamics.signals import AbstractSignal, Joint
-from snakejax.dynamics.vehicle import AbstractVehicle, Angles, Body, Joints, Placement, Stroke, Wheelset, wheels_across
+from snakejax.dynamics.vehicle import AbstractVehicle, Angles, Body, Joints, Placement, Stroke, Wheelset, axle_outline
 
 from .closed_form import NonSlippingBoard, SlippingBoard
 from .paper_constraints import Coupled, Printed
@@ -104,8 +104,7 @@ class Board(AbstractVehicle):
     def wheel_outline(self, wheelset: Wheelset) -> tuple[Stroke, ...]:
         """An axle with two wheels."""
         del wheelset
-        half = 0.3 * float(self.half_length)
-        return Stroke(((0.0, -half), (0.0, half))), *wheels_across(float(self.half_length), half)
+        return axle_outline(float(self.half_length), 0.3 * float(self.half_length))
 
     def arm(self, wheelset: Wheelset) -> Scalar:
         """Distance [m] of a wheelset ahead of the centre of mass."""
