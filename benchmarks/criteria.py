@@ -81,7 +81,7 @@ def made_up() -> Iterator[tuple[str, Callable[[], Truth]]]:
         def case(effects: dict[str, Any], hidden: tuple[str, ...], variable=None, made=made, seed=6000 + k) -> Truth:
             return Truth(boards.case(made, seed, **effects), hidden, variable)
 
-        weak, strong = (("yaw_damping", "steering_lag"), ("com_offset", "rolling_resistance"))[k]
+        weak, strong = (("yaw_damping", "steering_lag"), ("rotor_gain", "rolling_resistance"))[k]
         pair = (("steering_offset", "yaw_friction"), ("rotor_lag", "body_drag"))[k]
         stranger = ("spring", "compass")[k]
         both = {name: with_effect(name, SIZES[name]) for name in pair}
