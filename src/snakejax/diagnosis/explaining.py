@@ -37,6 +37,7 @@ from .selection.ranking import rank, significant
 from .selection.steps import SelectionStep
 from .selection.stepwise import stepwise_selection
 from .selection.working_step import WorkingStep, selection_step
+from .windows import explaining as windows
 
 Show = Callable[[SelectionStep], None]
 
@@ -62,6 +63,11 @@ def explain(
     **Raises:** `FitError` where the base cannot be fitted.
     """
     progress = question.get("progress", no_progress)
+    if windows.supports(case):
+        found = windows.explain_windows(case, noise, library, **question)
+        for step in found.steps:
+            show(step)
+        return found
     logged = any(free_clocks(run) or is_noisy(run.gait) for run in case.runs)
     if logged:
         case = with_estimated_logs(start_of(case, question), case, noise, progress)

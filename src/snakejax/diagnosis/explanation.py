@@ -126,6 +126,11 @@ class Explanation(Tabular):
         return self.steps[-1]
 
     @property
+    def of_windows(self) -> bool:
+        """Whether the train runs are windows of longer recordings, which judge by recordings left out."""
+        return any(run.cut_from is not None for run in self.case.having("train"))
+
+    @property
     def named_laws(self) -> dict[str, Law]:
         """The laws in the final model, by name."""
         return {name: effect for name, effect in self.final.model.effects.items() if isinstance(effect, Law)}

@@ -8,6 +8,7 @@ with L and the Gram matrix of `kalman`. Nine logarithms are moved: white and wan
 the time constant of the latter, three strengths of the force and its time constant.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -16,9 +17,13 @@ import numpy as np
 from jaxtyping import Float
 from scipy import optimize
 
+from snakejax.dynamics.model import Model
+from snakejax.recording.run import Run
+
+from ..multiple_shooting import initial_states
 from .kalman import Discrepancy, SegmentData, filter_runs
 from .least_squares import Prior
-from .segments import Segments
+from .segments import LENGTH, Segments
 
 WANDER_TIME, FORCE_TIME = (0.03, 2.0), (0.15, 10.0)
 """Limits of the time constants [s]: noise that wanders faster is white and slower is a pose of the start; a force that
@@ -64,20 +69,44 @@ class Scales(NamedTuple):
 
 
 def scales_of(segments: Segments, noise: Float[np.ndarray, "3"], wander_time: float | None = None) -> Scales:
-    """`noise` and `wander_time` as they are, and the force m (du/dt - r w), m (dw/dt + r u), I dr/dt from the smoothed
-    recording."""
-    board, cut = segments.model.board, segments.cut
+    """`noise` and `wander_time` as they are, and the force that moves the vehicle, from the smoothed recording."""
+    cut = segments.cut
     pairs = np.flatnonzero(~cut.first)  # a segment and the one before it
     velocity = segments.smoothed[:, :, 3:6].mean(axis=1)
-    u, w, r = 0.5 * (velocity[pairs] + velocity[pairs - 1]).T
-    du, dw, dr = ((velocity[pairs] - velocity[pairs - 1]) / (cut.times[pairs, 0] - cut.times[pairs - 1, 0])[:, None]).T
-    mass = float(board.mass) + cut.payload[pairs, 0]
-    inertia = float(board.total_inertia) + cut.payload[pairs, 1]
-    force = np.stack([mass * (du - r * w), mass * (dw + r * u), inertia * dr])
+    dt = cut.times[pairs, 0] - cut.times[pairs - 1, 0]
+    force = inertial_force(segments.model, cut.payload[pairs], velocity[pairs - 1], velocity[pairs], dt)
     present = np.asarray(cut.present.all(axis=(1, 2)))
     complete = present[pairs] & present[pairs - 1]
-    size = np.sqrt((force[:, complete if complete.any() else slice(None)] ** 2).mean(axis=1))
+    size = np.sqrt((force[complete if complete.any() else slice(None)] ** 2).mean(axis=0))
     return Scales(np.asarray(noise, float), np.maximum(size, 1e-9), wander_time)
+
+
+def window_force(model: Model, runs: Sequence[Run]) -> Float[np.ndarray, "3"]:
+    """The root mean square force that moves the vehicle in `runs` [N, N, N m], between states `LENGTH` apart."""
+    parts = []
+    for run in runs:
+        times, velocity = np.asarray(run.times), initial_states(model, run)[:, 3:6]
+        every = max(1, round(LENGTH / float(np.median(np.diff(times)))))
+        times, velocity = times[::every], velocity[::every]
+        payload = np.broadcast_to(np.asarray(run.payload), (len(times) - 1, 2))
+        parts.append(inertial_force(model, payload, velocity[:-1], velocity[1:], np.diff(times)))
+    return np.maximum(np.sqrt((np.concatenate(parts) ** 2).mean(axis=0)), 1e-9)
+
+
+def inertial_force(
+    model: Model,
+    payload: Float[np.ndarray, "N 2"],
+    before: Float[np.ndarray, "N 3"],
+    after: Float[np.ndarray, "N 3"],
+    dt: Float[np.ndarray, " N"],
+) -> Float[np.ndarray, "N 3"]:
+    """m (du/dt - r w), m (dw/dt + r u), I dr/dt [N, N, N m] between velocities (u, w, r) `before` and `after` the times
+    `dt` [s]."""
+    u, w, r = 0.5 * (after + before).T
+    du, dw, dr = ((after - before) / dt[:, None]).T
+    mass = float(model.board.mass) + payload[:, 0]
+    inertia = float(model.board.total_inertia) + payload[:, 1]
+    return np.stack([mass * (du - r * w), mass * (dw + r * u), inertia * dr], axis=1)
 
 
 def _discrepancy(logarithms: np.ndarray) -> Discrepancy:

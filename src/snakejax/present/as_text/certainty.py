@@ -17,12 +17,13 @@ def confidence_sentences(explanation: Explanation, effect: str) -> Iterator[str]
         return
     twins = {row.effect: None for row in explanation.candidates if effect in row.instead_of}
     others = listed(tuple(twins), "or") if twins else "another effect"
-    exact = word == "sure" and explanation.floor is None
-    yield SURE_WHERE_EXACT if exact else CONFIDENCE[word].format(others=others)
+    sure = SURE_OF_WINDOWS if explanation.of_windows else SURE_WHERE_EXACT if explanation.floor is None else ""
+    yield (sure if word == "sure" else "") or CONFIDENCE[word].format(others=others)
     share = explanation.share.get(effect)
     if share is not None:
-        runs = "train" if explanation.final.heldout is None else "held-out"
-        yield f"It takes away {percent(share)} of the squared error of the {runs} runs."
+        runs = "train runs" if explanation.final.heldout is None else "held-out runs"
+        runs = "train recordings, each left out in turn" if explanation.of_windows else runs
+        yield f"It takes away {percent(share)} of the squared error of the {runs}."
 
 
 def law_sentences(explanation: Explanation) -> Iterator[str]:
@@ -67,6 +68,8 @@ CONFIDENCE = {
 """What the words of `confidence` mean."""
 SURE_WHERE_EXACT = "Sure: with it only noise is left, and no other candidate does as well."
 """The same of an effect that leaves only noise."""
+SURE_OF_WINDOWS = "Sure: the recordings agree on its value, and each is predicted better with it from the others."
+"""The same of an effect found in windows of longer recordings."""
 
 
 def percent(share: float) -> str:
@@ -82,8 +85,9 @@ def floor_sentences(explanation: Explanation) -> Iterator[str]:
     if floor is None:
         return
     noise = pose_error_text(*(float(part) for part in (explanation.noise.position, explanation.noise.heading)))
+    what = "windows" if explanation.of_windows else "whole runs"
     yield (
-        f"Of whole runs, {floor.source} leave {pose_error_text(floor.position_m, floor.heading_rad)} by themselves;"
+        f"Of {what}, {floor.source} leave {pose_error_text(floor.position_m, floor.heading_rad)} by themselves;"
         f" the noise of a sample is {noise}."
     )
     rest = explanation.remainder

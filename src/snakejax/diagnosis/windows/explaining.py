@@ -1,0 +1,225 @@
+"""Explaining recordings of which many short windows are given: a real vehicle that nobody set down at rest."""
+
+from collections.abc import Mapping
+from typing import Unpack
+
+import numpy as np
+
+from snakejax.core.progress import Progress, no_progress
+from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
+from snakejax.dynamics.ports import Effect
+from snakejax.estimation.discrepancy.strength import Scales, window_force
+from snakejax.estimation.initialisation import is_window
+from snakejax.estimation.problem import Problem
+from snakejax.estimation.window_fit import WindowPoint, scale_of
+from snakejax.recording.run import Case, Noise
+
+from ..diagnosing import DiagnosisOptions, start_of
+from ..explanation import Explanation, PoseError, Remainder, TriedCandidate
+from ..inexact.candidate_model import candidate_model, movable_parameters
+from ..inexact.confidence import AMBIGUOUS, LIKELY, SURE
+from ..selection.candidates import BaseFit, CandidateSet, structures
+from ..selection.criteria import SelectionCriteria
+from ..selection.steps import SelectionStep
+from .own_motion import own_floor
+from .search import Candidate, Found, WindowSearch, first_state, further_states, left_out_gain, twins
+from .steps import step_of
+
+WIDTH = 26
+"""Parameters that one compiled program can free: with the six of a start state four registers of derivatives."""
+FEWEST_RECORDINGS = 4
+"""With fewer recordings each is divided into parts of consecutive windows that are left out one by one."""
+PARTS = 3
+"""The number of those parts of each."""
+LARGEST_RATIO = 2.0
+"""Windows are explained where the model leaves at most so many times what the vehicle itself does not repeat under
+constant commands: of the squared error a quarter is then the vehicle's own."""
+
+
+def supports(case: Case) -> bool:
+    """Whether all train runs of `case` are windows of longer recordings, and there are enough to leave some out."""
+    train = case.having("train")
+    return len(train) > 2 * FEWEST_RECORDINGS and all(is_window(run) for run in train)
+
+
+def explain_windows(
+    case: Case, noise: Noise, library: Mapping[str, Effect], **question: Unpack[DiagnosisOptions]
+) -> Explanation:
+    """Which effects of `library` the windows of `case` show, each added where it predicts recordings left out better.
+
+    **Raises:** `FitError` where the simulation of every window fails.
+    """
+    criteria = question.get("criteria") or SelectionCriteria.of(case)
+    progress = question.get("progress", no_progress)
+    with_ = tuple(question.get("with_", ()))
+    how = BaseFit(frozenset(question.get("held", ())))
+    options = structures(case, "", None, start_of(case, question))[: 2 if question.get("switch", True) else 1]
+    sets = [
+        CandidateSet.of(model, case, noise, library, switched=k > 0, criteria=criteria, how=how)
+        for k, model in enumerate(options)
+    ]
+    searches = [window_search(case, noise, one, with_, progress) for one in sets]
+    base = first_state(searches[0], _beginning(searches[0]))
+    path = [(0, base)]
+    if len(sets) > 1:
+        relaxed = first_state(searches[1], _beginning(searches[1]))
+        if left_out_gain(base.linear, relaxed.linear).predicts:
+            path.append((1, relaxed))
+    number, last = path[-1]
+    path += [(number, state) for state in further_states(searches[number], last)]
+    steps = [
+        step_of(searches[k], sets[k], state, LATERAL_SLIP_SWITCH if k and not state.effects else "", with_)
+        for k, state in path
+    ]
+    return _explanation(case, noise, steps, [(searches[k], state) for k, state in path])
+
+
+def window_search(
+    case: Case, noise: Noise, candidate_set: CandidateSet, with_: tuple[str, ...], progress: Progress
+) -> WindowSearch:
+    """The search under the structure of `candidate_set`, in which the effects `with_` are always present."""
+    model, train = candidate_set.problem.model, case.having("train")
+    scales = Scales(np.asarray(noise.channels), window_force(model, train))
+    candidates = candidate_model(model, candidate_set.tyre, candidate_set.candidates, with_, scales, case.constant_sd)
+    names = movable_parameters(model, candidate_set.tyre, candidate_set.candidates, with_)
+    problem = Problem.of(model, case.runs, noise, names, min(WIDTH, len(names)))
+    windows = problem.run_indices("train")
+    recording = recordings_of([case.runs[k].recorded_as for k in windows])
+    return WindowSearch(problem, candidates, tuple(windows), recording, candidate_set.criteria, progress)
+
+
+def recordings_of(names: list[str]) -> np.ndarray:
+    """The number of the recording of each window; with few recordings that of a part of one, see `PARTS`."""
+    _, number = np.unique(names, return_inverse=True)
+    if number.max() + 1 >= FEWEST_RECORDINGS:
+        return number
+    part = np.zeros(len(names), int)
+    for k in np.unique(number):
+        own = np.flatnonzero(number == k)
+        part[own] = np.arange(len(own)) * PARTS // len(own)
+    return np.unique(number * PARTS + part, return_inverse=True)[1]
+
+
+def _beginning(search: WindowSearch) -> WindowPoint:
+    return WindowPoint(search.problem.values(), np.asarray(search.problem.batch.start))
+
+
+def _explanation(
+    case: Case, noise: Noise, steps: list[SelectionStep], path: list[tuple[WindowSearch, Found]]
+) -> Explanation:
+    search, last = path[-1]
+    final, criteria = steps[-1], search.criteria
+    others = {effect: twins(search, last, effect) for effect in last.effects}
+    floor = own_floor(case.having("train"), np.asarray(noise.channels))
+    remainder = _remainder(final, floor)
+    near = floor is not None and remainder is not None and _near(remainder, floor)
+    effects = tuple(effect for effect in final.effects if effect not in steps[0].effects)
+    verdict = ("explained" if effects else "adequate") if near else "unexplained"
+    share, explained_share = _shares(path, steps)
+    confidence = {
+        effect: _confidence(search.candidate(last.linear, effect), others[effect], criteria, search)
+        for effect in last.effects
+    }
+    if LATERAL_SLIP_SWITCH in effects:
+        confidence[LATERAL_SLIP_SWITCH] = SURE
+    known = {name.removeprefix("board."): e for name, e in final.estimates.items() if name.startswith("board.")}
+    return Explanation(
+        case,
+        noise,
+        tuple(steps),
+        verdict,
+        effects if near else (),
+        () if near else effects,
+        steps[0].left_out,
+        None,
+        confidence=confidence,
+        share=share,
+        explained_share=explained_share,
+        floor=floor,
+        remainder=remainder,
+        candidates=tuple(row for k in range(len(path)) for row in _tried(path, k, others)),
+        constants=known,
+    )
+
+
+def _confidence(found: Candidate, others: tuple[str, ...], criteria: SelectionCriteria, search: WindowSearch) -> str:
+    """`ambiguous` where recordings left out cannot tell another from it, `sure` where its p-value holds for the whole
+    family of candidates, else `likely`."""
+    if others:
+        return AMBIGUOUS
+    family = len(search.model.candidates)
+    return SURE if found.p_value * family < criteria.significance_level else LIKELY
+
+
+def _median_error(step: SelectionStep) -> tuple[float, float]:
+    """The median over held-out windows (train windows without any) of their errors [m, rad]."""
+    role = "train" if step.heldout is None else "heldout"
+    errors = np.array([(run.position_m, run.heading_rad) for run in step.runs if run.role == role])
+    return float(np.median(errors[:, 0])), float(np.median(errors[:, 1]))
+
+
+def _shares(path: list[tuple[WindowSearch, Found]], steps: list[SelectionStep]) -> tuple[dict[str, float], float]:
+    """By step the share of the error of the base, on recordings left out, that it takes away, and that of all together.
+
+    The error is the robust one on the scale of the base: that of the mean square would be the error of the few windows
+    in which a model spins.
+    """
+    scale = scale_of(path[0][1].linear.mean_square)
+    errors = [float(state.linear.error(state.effects, scale).sum()) for _, state in path]
+    share = {step.name: (a - b) / errors[0] for step, a, b in zip(steps[1:], errors[:-1], errors[1:], strict=True)}
+    return share, (errors[0] - errors[-1]) / errors[0]
+
+
+def _remainder(final: SelectionStep, floor: PoseError | None) -> Remainder | None:
+    """What the median window has above the floor, in squares."""
+    if floor is None:
+        return None
+    position, heading = _median_error(final)
+    return Remainder(
+        float(np.sqrt(max(position**2 - floor.position_m**2, 0.0))),
+        float(np.sqrt(max(heading**2 - floor.heading_rad**2, 0.0))),
+    )
+
+
+def _near(remainder: Remainder, floor: PoseError) -> bool:
+    above = LARGEST_RATIO**2 - 1.0
+    return (
+        remainder.position_m**2 <= above * floor.position_m**2
+        and remainder.heading_rad**2 <= above * floor.heading_rad**2
+    )
+
+
+def _tried(
+    path: list[tuple[WindowSearch, Found]], number: int, others: dict[str, tuple[str, ...]]
+) -> list[TriedCandidate]:
+    """One row for each candidate beside one state; what the next state has is `taken`. `others`: the twins of each
+    effect of the last state."""
+    search, state = path[number]
+    after = path[number + 1] if number + 1 < len(path) else (None, state)
+    following = after[1].effects if after[0] is search else ()
+    family, last = len(search.model.candidates), path[-1][1].effects
+    rows = []
+    for one in state.candidates:
+        taken = one.effect in following
+        p = min(1.0, one.p_value * family)
+        why = _why(one, taken, one.effect in last, search.criteria)
+        instead = tuple(effect for effect, twin in others.items() if one.effect in twin)
+        rows.append(TriedCandidate(number, one.effect, one.gain.share, p, None, taken, why, instead))
+    return rows
+
+
+def _why(one: Candidate, taken: bool, later: bool, criteria: SelectionCriteria) -> str:
+    gained = f"the error of recordings left out falls by {one.gain.share:.2%}"
+    if taken:
+        return f"taken: {gained}"
+    if later:
+        return "taken in a later step"
+    if one.at_bound:
+        return "refused: it ends on a bound of its domain"
+    if not (one.gain.predicts and one.gain.by_run.sum() > 0):
+        return "refused: recordings left out are not predicted better by more than the standard error"
+    if one.gain.share < criteria.least_excess_share:
+        return f"refused: too little to matter, {gained}"
+    if not one.p_value < criteria.significance_level:
+        return f"refused: the recordings do not agree on its value (p = {one.p_value:.2g})"
+    return f"refused: another one does more, or it does not last when it is fitted; {gained}"

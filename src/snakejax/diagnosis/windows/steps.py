@@ -1,0 +1,113 @@
+"""The steps of an explanation by windows: the model, its scores in all windows, its estimates and candidates."""
+
+import dataclasses
+
+import numpy as np
+from scipy import stats
+
+from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
+from snakejax.dynamics.ports import Delay, Sensor
+from snakejax.estimation.fitted_model import fitted_model
+from snakejax.estimation.uncertainty import UNDETERMINED_SD, Estimate
+
+from ..selection.candidates import CandidateSet
+from ..selection.steps import CandidateScore, SelectionStep
+from ..selection.working_step import judged_runs
+from .search import Candidate, Found, WindowSearch, twins
+
+
+def step_of(
+    search: WindowSearch, candidate_set: CandidateSet, state: Found, name: str, with_: tuple[str, ...]
+) -> SelectionStep:
+    """The step to `state`: `name` says what was changed, by default the last of its effects; the base has neither."""
+    name = name or (state.effects[-1] if state.effects else "")
+    problem, values = search.problem, state.linear.point.values
+    train = list(search.windows)
+    solution = problem.fit(values, (), train, state.linear.point.start)
+    judged = judged_runs(problem, solution, values, train)
+    present = (*with_, *state.effects)
+    model = problem.fitted(solution).without(*(e for e in candidate_set.candidates if e not in present))
+    optimum = state.linear.subsets.with_effects(state.effects)
+    fitted = dataclasses.replace(
+        fitted_model(model, problem, solution, judged.heldout_fit),
+        loose=tuple(search.model.names[k] for k in optimum.free),
+        covariance=optimum.covariance,
+        spread=1.0,
+    )
+    return SelectionStep(
+        change="added" if name else "base",
+        name=name,
+        effects=(*((LATERAL_SLIP_SWITCH,) if candidate_set.switched else ()), *present),
+        fitted=fitted,
+        train=judged.train,
+        heldout=judged.heldout,
+        runs=judged.runs,
+        estimates=estimates_of_state(search, state),
+        converged=state.linear.point.converged,
+        ranking=_ranking(search, state),
+        left_out=candidate_set.left_out,
+        criteria=candidate_set.criteria,
+    )
+
+
+def estimates_of_state(search: WindowSearch, state: Found) -> dict[str, Estimate]:
+    """Value and standard error of each free parameter, by name.
+
+    The standard error is the larger one of two: that of windows that count as one pose each, and that of the jackknife
+    over recordings.
+    """
+    linear, model = state.linear, search.model
+    free = model.free(state.effects)
+    optimum = linear.subsets.with_effects(state.effects)
+    _, covariance = linear.jackknife(state.effects, free)
+    jackknife = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    domains = search.prior.domains(search.problem, [model.names[k] for k in free])
+    found = {}
+    for k, (name, domain), over_recordings in zip(free, domains.items(), jackknife, strict=True):
+        value, step = linear.point.values[name], max(float(optimum.sd[k]), float(over_recordings))
+        shaped = domain.multiplicative or domain.typical is not None
+        held = k not in optimum.free
+        sd = None if held else step * (abs(value) if domain.multiplicative else 1.0)
+        found[name] = Estimate(value, sd, domain.unit, not held and not (shaped and step > UNDETERMINED_SD), held)
+    return found
+
+
+def _ranking(search: WindowSearch, state: Found) -> tuple[CandidateScore, ...]:
+    """The candidates beside a state, the one that recordings left out gain most by first."""
+    known, model, rows = search.problem.model.effects, search.model, []
+    family = len(model.candidates)
+    # With fewer recordings a larger value is needed for the same level.
+    reach = float(stats.t.isf(search.criteria.significance_level / 2, max(len(state.linear.gram) - 1, 1)))
+    for one in state.candidates:
+        columns = model.candidates[one.effect]
+        names = [model.names[k] for k in columns]
+        _, covariance = state.linear.jackknife([*state.effects, one.effect], columns)
+        optimum = state.linear.subsets.with_effects([*state.effects, one.effect])
+        domains = search.prior.domains(search.problem, names)
+        expected = {}
+        for k, (name, domain), value, variance in zip(
+            columns, domains.items(), one.values, np.diag(covariance), strict=True
+        ):
+            sd = max(float(optimum.sd[k]), float(np.sqrt(max(variance, 0.0))))
+            expected[name.rsplit(".", 1)[-1]] = Estimate(value, sd, domain.unit, not one.at_bound)
+        rows.append(
+            CandidateScore(
+                effect=one.effect,
+                description=known[one.effect].description,
+                p_value=min(1.0, one.p_value * family),
+                statistic=max(0.0, float(one.gain.by_run.sum())),
+                estimate=expected,
+                detectable={part: reach * (e.sd or 0.0) for part, e in expected.items()},
+                of_measurement=isinstance(known[one.effect], Sensor | Delay),
+                confusable_with=_confusable(search, state, one),
+            )
+        )
+    return tuple(rows)
+
+
+def _confusable(search: WindowSearch, state: Found, one: Candidate) -> tuple[str, ...]:
+    """The other candidates that these recordings cannot tell from `one`, where it does anything."""
+    if not one.gain.by_run.sum() > 0:
+        return ()
+    with_it = state.linear._replace(effects=(*state.effects, one.effect))
+    return twins(search, state._replace(linear=with_it), one.effect)

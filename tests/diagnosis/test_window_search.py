@@ -1,0 +1,114 @@
+"""Explaining windows of a car that wanders: the effect that is there is found, and no other one is claimed."""
+
+import numpy as np
+import pytest
+from helpers.wandering_car import CONSTANTS, NOISE, TYRE, windows
+from scipy import stats
+
+from snakejax.diagnosis.windows.explaining import FEWEST_RECORDINGS, explain_windows, recordings_of, supports
+from snakejax.diagnosis.windows.own_motion import own_errors, steady_windows
+from snakejax.diagnosis.windows.search import _p_value
+from snakejax.dynamics.inputs import Inputs
+from snakejax.dynamics.model import Model
+from snakejax.dynamics.sampled_signals import Held
+from snakejax.effects import library
+from snakejax.estimation.window_fit import WindowColumns, scale_of, weights_of
+from snakejax.recording.run import Run
+from snakejax.vehicles.car import DART, Car
+
+OFFERED = ("steering_asymmetry", "rolling_resistance", "yaw_damping", "ground_slope", "load_transfer")
+ASYMMETRY = -0.15
+
+
+def offered(names: tuple[str, ...]) -> dict:
+    kinds = library(Car(**DART))
+    return {name: kinds[name]() for name in names}
+
+
+@pytest.mark.slow
+def test_the_tyre_and_the_asymmetry_of_a_wandering_car_are_found_and_nothing_else() -> None:
+    effect = offered(OFFERED)["steering_asymmetry"]
+    truth = Model(Car(**DART, **CONSTANTS, creep_speed=0.1), TYRE, "free").add(
+        steering_asymmetry=type(effect)(a=ASYMMETRY)
+    )
+    case = windows(truth, recordings=6, heldout=2, seed=3)
+    assert supports(case)
+    found = explain_windows(case, NOISE, offered(OFFERED))
+    assert [step.name for step in found.steps] == ["", "lateral_skid", "steering_asymmetry"]
+    estimate = found.final.estimates_of("steering_asymmetry")["a"]
+    assert estimate.sd is not None and abs(estimate.value - ASYMMETRY) < 3 * estimate.sd
+    assert estimate.sd < 0.2 * abs(ASYMMETRY)
+    heldout = [step.heldout for step in found.steps]
+    assert heldout[-1] is not None and heldout[0] is not None
+    assert heldout[-1].position_m < 0.5 * heldout[0].position_m
+    assert sum(row.taken for row in found.candidates) == 1
+    assert found.explained_share is not None and found.explained_share > 0.5
+
+
+def test_start_states_are_projected_out_as_least_squares_does() -> None:
+    rng = np.random.default_rng(0)
+    residual, by_values, by_start = rng.normal(size=(4, 30)), rng.normal(size=(4, 30, 3)), rng.normal(size=(4, 30, 6))
+    by_start[2, :, 4] = 0.0
+    left, columns = WindowColumns(residual, by_values, by_start, np.full(4, 30.0)).without_starts
+    for w in range(4):
+        fitted = np.linalg.lstsq(by_start[w], np.column_stack([residual[w], by_values[w]]), rcond=None)[0]
+        expected = np.column_stack([residual[w], by_values[w]]) - by_start[w] @ fitted
+        np.testing.assert_allclose(np.column_stack([left[w], columns[w]]), expected, atol=1e-12)
+
+
+def test_a_window_far_off_has_no_weight() -> None:
+    square = np.array([1.0, 1.2, 0.8, 1.1, 1e6])
+    weight = weights_of(square, scale_of(square))
+    assert weight[:4].min() > 0.9 and weight[4] < 1e-4
+
+
+def test_p_values_of_agreeing_recordings_are_uniform_where_nothing_is_there() -> None:
+    rng, found = np.random.default_rng(5), []
+    F, k = 9, 2
+    for _ in range(2000):
+        each = rng.normal(size=(F, k)) @ np.array([[1.0, 0.6], [0.0, 0.5]])
+        others = np.array([np.delete(each, f, axis=0).mean(axis=0) for f in range(F)])
+        off = others - others.mean(axis=0)
+        found.append(_p_value(each.mean(axis=0), (F - 1) / F * off.T @ off, F))
+    assert stats.kstest(found, "uniform").pvalue > 0.001
+
+
+def test_few_recordings_are_left_out_in_parts() -> None:
+    many = recordings_of([f"run{k % FEWEST_RECORDINGS}" for k in range(12)])
+    assert np.unique(many).size == FEWEST_RECORDINGS
+    single = recordings_of(["one"] * 9)
+    assert single.tolist() == [0, 0, 0, 1, 1, 1, 2, 2, 2]
+
+
+def test_the_error_about_the_own_motion_is_what_a_steady_circle_lacks() -> None:
+    times = np.arange(30) * 0.05
+    rng = np.random.default_rng(2)
+    heading = 0.4 + 1.5 * times
+    path = np.cumsum(np.column_stack([np.cos(heading), np.sin(heading)]) * (1.0 + 0.2 * times)[:, None], axis=0) * 0.05
+    gait = Inputs({"steer": Held.of([0.0], [0.3]), "drive": Held.of([0.0], [0.2])})
+    varying = Inputs({"steer": Held.of([0.0, 0.7], [0.3, 0.1]), "drive": Held.of([0.0], [0.2])})
+    noise = np.array([1e-3, 1e-3, 2e-3])
+    runs = []
+    for k in range(40):
+        pose = np.column_stack([path, heading]) + rng.normal(size=(30, 3)) * noise
+        runs.append(Run(f"w{k}", "train", times, pose, varying if k % 4 == 0 else gait, moving=True, cut_from="one"))
+    assert steady_windows(runs) == [[k for k in range(40) if k % 4]]
+    errors = own_errors([runs[k] for k in range(40) if k % 4], noise)
+    # Position counts two channels of 1 mm each.
+    np.testing.assert_allclose(np.sqrt((errors**2).mean(axis=0)), [np.sqrt(2) * 1e-3, 2e-3], rtol=0.1)
+
+
+def test_runs_that_turn_at_rates_of_their_own_do_not_repeat() -> None:
+    times, rng = np.arange(30) * 0.05, np.random.default_rng(4)
+    gait = Inputs({"steer": Held.of([0.0], [0.3]), "drive": Held.of([0.0], [0.2])})
+    runs = []
+    for k in range(60):
+        heading = (1.5 + 0.1 * rng.normal()) * times
+        path = np.cumsum(np.column_stack([np.cos(heading), np.sin(heading)]), axis=0) * 0.05
+        pose = np.column_stack([path, heading])
+        runs.append(Run(f"w{k}", "train", times, pose, gait, moving=True, cut_from="one"))
+    errors = own_errors(runs, np.array([1e-3, 1e-3, 2e-3]))
+    # A rate off by 0.1 rad/s leaves 0.1 times the standard deviation of time about its mean in heading, where the
+    # start heading is free; the position has a say in it too.
+    expected = 0.1 * times.std()
+    assert 0.7 * expected < np.sqrt((errors[:, 1] ** 2).mean()) < 2.0 * expected
