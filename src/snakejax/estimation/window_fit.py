@@ -40,6 +40,8 @@ REJECTED = 8
 START_SD = np.array([0.05, 0.05, 0.1, 0.3, 0.3, 1.0])
 """How far a start state is from the recorded one [m, m, rad, m/s, m/s, rad/s]: it keeps regular what a window does not
 show, such as a sideways velocity that decays at once."""
+UNSEEN = 1e-9
+"""A combination of scaled start components below this singular value has no influence."""
 LARGEST = 1e8
 """A window further off than this [noise variances] is as far off: its simulation failed, or left the room."""
 
@@ -96,9 +98,8 @@ class WindowColumns(NamedTuple):
     def without_starts(self) -> tuple[Float[np.ndarray, "W m"], Float[np.ndarray, "W m K"]]:
         """Residual and columns orthogonal to the start state of their window (Golub and Pereyra 1973)."""
         size = np.sqrt((self.by_start**2).sum(axis=1, keepdims=True))
-        basis, triangle = np.linalg.qr(self.by_start / np.where(size > 0, size, 1.0))
-        seen = np.abs(np.diagonal(triangle, axis1=1, axis2=2)) > 1e-9
-        basis = basis * seen[:, None, :]
+        basis, values, _ = np.linalg.svd(self.by_start / np.where(size > 0, size, 1.0), full_matrices=False)
+        basis = basis * (values > UNSEEN)[:, None, :]
 
         def projected(columns):
             return columns - basis @ (basis.transpose(0, 2, 1) @ columns)

@@ -44,7 +44,7 @@ def step_of(
         runs=judged.runs,
         estimates=estimates_of_state(search, state),
         converged=state.linear.point.converged,
-        ranking=_ranking(search, state),
+        ranking=_ranking(search, state, judged.train.misfit),
         left_out=candidate_set.left_out,
         criteria=candidate_set.criteria,
     )
@@ -72,10 +72,12 @@ def estimates_of_state(search: WindowSearch, state: Found) -> dict[str, Estimate
     return found
 
 
-def _ranking(search: WindowSearch, state: Found) -> tuple[CandidateScore, ...]:
-    """The candidates beside a state, the one that recordings left out gain most by first."""
+def _ranking(search: WindowSearch, state: Found, misfit: float) -> tuple[CandidateScore, ...]:
+    """The candidates beside a state, the one that recordings left out gain most by first; `misfit`: that of the train
+    windows without them."""
     known, model, rows = search.problem.model.effects, search.model, []
     family = len(model.candidates)
+    without = state.linear.subsets.with_effects(state.effects).chi2
     # With fewer recordings a larger value is needed for the same level.
     reach = float(stats.t.isf(search.criteria.significance_level / 2, max(len(state.linear.gram) - 1, 1)))
     for one in state.candidates:
@@ -96,6 +98,7 @@ def _ranking(search: WindowSearch, state: Found) -> tuple[CandidateScore, ...]:
                 description=known[one.effect].description,
                 p_value=min(1.0, one.p_value * family),
                 statistic=max(0.0, float(one.gain.by_run.sum())),
+                predicted_misfit=misfit * optimum.chi2 / without,
                 estimate=expected,
                 detectable={part: reach * (e.sd or 0.0) for part, e in expected.items()},
                 of_measurement=isinstance(known[one.effect], Sensor | Delay),

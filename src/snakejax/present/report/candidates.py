@@ -45,7 +45,7 @@ def candidates(result: Json, words: Words, near: Sequence[bool]) -> Section:
     if result["left_out"]:
         left = [Row(cells(part["effect"], part["why"])) for part in result["left_out"]]
         tables.append(table("Excluded", ("effect", "why"), left))
-    charts = (_expected(result["ranking"], near[0]), *_refitted(result))
+    charts = (*_expected(result["ranking"], near[0]), *_refitted(result))
     return Section("ranking", "Effects tried and refused", sentences, charts, tuple(tables))
 
 
@@ -102,13 +102,15 @@ def _twins(ranked: Sequence[Json]) -> Iterator[str]:
             yield f"These runs cannot distinguish {one['effect']} from {listed}."
 
 
-def _expected(ranking: Sequence[Json], near: bool) -> Chart:
+def _expected(ranking: Sequence[Json], near: bool) -> Iterator[Chart]:
     """The error that each candidate would leave by the linear model: of short windows, or of whole runs."""
     shown = [r for r in ranking if r["predicted_misfit"] is not None][::-1]
+    if not shown:
+        return
     trace = _marks("expected", "circle-open", [r["effect"] for r in shown], [r["predicted_misfit"] for r in shown])
     title, what = (PREDICTED, "whole runs") if near else (WINDOWS, "short windows")
     label = f"The error of {what} that each candidate would leave, in multiples of the noise."
-    return Chart("expected", label, (trace,), _layout(title, [trace], ()), 110 + 20 * len(shown))
+    yield Chart("expected", label, (trace,), _layout(title, [trace], ()), 110 + 20 * len(shown))
 
 
 def _refitted(result: Json) -> Iterator[Chart]:
