@@ -5,7 +5,13 @@ import pytest
 from helpers.wandering_car import CONSTANTS, NOISE, TYRE, windows
 from scipy import stats
 
-from snakejax.diagnosis.windows.explaining import FEWEST_RECORDINGS, explain_windows, recordings_of, supports
+from snakejax.diagnosis.windows.explaining import (
+    FEWEST_RECORDINGS,
+    MOST_RECORDINGS,
+    explain_windows,
+    recordings_of,
+    supports,
+)
 from snakejax.diagnosis.windows.own_motion import own_errors, steady_windows
 from snakejax.diagnosis.windows.search import _p_value
 from snakejax.dynamics.inputs import Inputs
@@ -78,6 +84,7 @@ def test_few_recordings_are_left_out_in_parts() -> None:
     assert np.unique(many).size == FEWEST_RECORDINGS
     single = recordings_of(["one"] * 9)
     assert single.tolist() == [0, 0, 0, 1, 1, 1, 2, 2, 2]
+    assert np.unique(recordings_of([f"run{k:03}" for k in range(100)])).size == MOST_RECORDINGS
 
 
 def test_the_error_about_the_own_motion_is_what_a_steady_circle_lacks() -> None:

@@ -11,6 +11,7 @@ from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
 from snakejax.recording.run import Run
 
 from .linearisation import domains_of, project_out_starts
+from .many_runs import MANY
 from .multiple_shooting import LENGTH, Windows, WindowSolution
 from .problem import Problem, Solution
 
@@ -62,9 +63,18 @@ def continue_over_horizons(
     return best
 
 
+MANY_WINDOWS = 3.0
+"""Huber's threshold [standard deviations] of a fit of more than `MANY` windows."""
+
+
+def is_short(run: Run) -> bool:
+    """Whether a run is short and begins in motion."""
+    return run.moving and float(run.times[-1] - run.times[0]) <= SHORT
+
+
 def is_window(run: Run) -> bool:
     """Whether a run is a short window of a longer recording."""
-    return run.moving and run.cut_from is not None and float(run.times[-1] - run.times[0]) <= SHORT
+    return is_short(run) and run.cut_from is not None
 
 
 def fit_short(
@@ -77,9 +87,13 @@ def fit_short(
 ) -> Solution:
     """The better of two fits of windows: from one of their beginnings, where few false optima are, and from `values`.
 
+    Of many windows the loss is Huber's, with a `threshold` of `MANY_WINDOWS` unless another one is given: some windows
+    in which the model spins would rule the sum of squares.
+
     **Raises:** `FitError` if a simulation fails at the start, or if a free parameter has no influence.
     """
     values = problem.values() if values is None else values
+    threshold = MANY_WINDOWS if len(runs) > MANY and not np.isfinite(threshold) else threshold
     progress(ProgressEvent(Phase.FIRST_SECONDS))
     require_sensitive(problem, values, free, runs)
     early = problem.fit(values, free, runs, until=EARLY, crawl=1e-3, weak_prior=True, most=15, threshold=threshold)

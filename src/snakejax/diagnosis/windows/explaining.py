@@ -9,7 +9,8 @@ from snakejax.core.progress import Progress, no_progress
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.dynamics.ports import Effect
 from snakejax.estimation.discrepancy.strength import Scales, window_force
-from snakejax.estimation.initialisation import is_window
+from snakejax.estimation.goodness_of_fit import noise_band
+from snakejax.estimation.initialisation import is_short
 from snakejax.estimation.problem import Problem
 from snakejax.estimation.window_fit import WindowPoint, scale_of
 from snakejax.recording.run import Case, Noise
@@ -31,15 +32,19 @@ FEWEST_RECORDINGS = 4
 """With fewer recordings each is divided into parts of consecutive windows that are left out one by one."""
 PARTS = 3
 """The number of those parts of each."""
+START = 6
+"""The numbers of a start state."""
+MOST_RECORDINGS = 24
+"""More recordings than these are left out in as many groups of consecutive ones."""
 LARGEST_RATIO = 2.0
 """Windows are explained where the model leaves at most so many times what the vehicle itself does not repeat under
 constant commands: of the squared error a quarter is then the vehicle's own."""
 
 
 def supports(case: Case) -> bool:
-    """Whether all train runs of `case` are windows of longer recordings, and there are enough to leave some out."""
+    """Whether all train runs of `case` are short and begin in motion, and there are enough of them to leave some out."""
     train = case.having("train")
-    return len(train) > 2 * FEWEST_RECORDINGS and all(is_window(run) for run in train)
+    return len(train) > 2 * FEWEST_RECORDINGS and all(is_short(run) for run in train)
 
 
 def explain_windows(
@@ -89,10 +94,12 @@ def window_search(
 
 
 def recordings_of(names: list[str]) -> np.ndarray:
-    """The number of the recording of each window; with few recordings that of a part of one, see `PARTS`."""
+    """The number of the recording of each window; with few recordings that of a part of one, see `PARTS`, with many that
+    of a group, see `MOST_RECORDINGS`."""
     _, number = np.unique(names, return_inverse=True)
-    if number.max() + 1 >= FEWEST_RECORDINGS:
-        return number
+    count = int(number.max()) + 1
+    if count >= FEWEST_RECORDINGS:
+        return number if count <= MOST_RECORDINGS else number * MOST_RECORDINGS // count
     part = np.zeros(len(names), int)
     for k in np.unique(number):
         own = np.flatnonzero(number == k)
@@ -113,6 +120,7 @@ def _explanation(
     floor = own_floor(case.having("train"), np.asarray(noise.channels))
     remainder = _remainder(final, floor)
     near = floor is not None and remainder is not None and _near(remainder, floor)
+    near = near or _only_noise(final, len(search.model.free(last.effects)))
     effects = tuple(effect for effect in final.effects if effect not in steps[0].effects)
     verdict = ("explained" if effects else "adequate") if near else "unexplained"
     share, explained_share = _shares(path, steps)
@@ -187,6 +195,18 @@ def _near(remainder: Remainder, floor: PoseError) -> bool:
         remainder.position_m**2 <= above * floor.position_m**2
         and remainder.heading_rad**2 <= above * floor.heading_rad**2
     )
+
+
+def _only_noise(final: SelectionStep, parameters: int) -> bool:
+    """Whether only the noise that is stated or estimated is left, in held-out windows too."""
+    known = [(final.train, parameters, "train")]
+    if final.heldout is not None:
+        known.append((final.heldout, 0, "heldout"))
+    for score, estimated, role in known:
+        starts = START * sum(run.role == role for run in final.runs)
+        if not score.misfit <= noise_band(score.samples, estimated + starts)[1]:
+            return False
+    return True
 
 
 def _tried(
