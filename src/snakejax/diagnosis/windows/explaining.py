@@ -42,7 +42,7 @@ constant commands: of the squared error a quarter is then the vehicle's own."""
 
 
 def supports(case: Case) -> bool:
-    """Whether all train runs of `case` are short and begin in motion, and there are enough of them to leave some out."""
+    """Whether all train runs of `case` are short and begin in motion, and are enough to leave some out."""
     train = case.having("train")
     return len(train) > 2 * FEWEST_RECORDINGS and all(is_short(run) for run in train)
 
@@ -94,8 +94,8 @@ def window_search(
 
 
 def recordings_of(names: list[str]) -> np.ndarray:
-    """The number of the recording of each window; with few recordings that of a part of one, see `PARTS`, with many that
-    of a group, see `MOST_RECORDINGS`."""
+    """The number of the recording of each window; with few that of a part of one, see `PARTS`, with many that of a
+    group, see `MOST_RECORDINGS`."""
     _, number = np.unique(names, return_inverse=True)
     count = int(number.max()) + 1
     if count >= FEWEST_RECORDINGS:
