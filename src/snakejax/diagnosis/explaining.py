@@ -173,7 +173,7 @@ def _when_no_model_is_exact(
         return None
     if found.inside("train") < criteria.least_inside:
         return None
-    steps = (diagnosis.base.record, *steps_of(found, candidate_set))
+    steps = (diagnosis.base.record, *steps_of(found))
     return explanation_of(case, noise, found, criteria, steps) if _lower_error(steps) else None
 
 

@@ -1,6 +1,6 @@
 """Everything that is told of the effects which a search has found, as plain numbers."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +14,7 @@ from snakejax.recording.run import Run
 
 from ..explanation import RunBand
 from ..odd_runs import OddRun, odd_runs
+from ..selection.candidates import CandidateSet
 from .confidence import Confidence, confidence
 from .evidence import World, world
 from .left_out import LeftOut, left_out
@@ -33,7 +34,8 @@ class Assessment(NamedTuple):
     `base`: effects that were in the model from the start; `effects`, the strongest first; `wide`: the problem under the
     discrepancy of intervals (`interval_force`); `confidence` of each effect; `predicted`: runs left out; `world`: what
     else is there; `check` of the held-out runs; `floor` (3,) [m, m, rad]: what vehicle and cameras leave of whole runs;
-    `bands` of all runs; `odd_runs` among the train runs.
+    `bands` of all runs; `odd_runs` among the train runs; `candidate_set`: that of the search; `law_rivals`: the
+    expressions of other laws that do as well as that of each law among the effects.
     """
 
     search: Search
@@ -48,6 +50,8 @@ class Assessment(NamedTuple):
     floor: np.ndarray
     bands: tuple[RunBand, ...]
     odd_runs: tuple[OddRun, ...]
+    candidate_set: CandidateSet
+    law_rivals: Mapping[str, tuple[str, ...]]
 
     def inside(self, role: str) -> float:
         """The mean share of the samples of the runs of `role` inside the bands of their predictions; 1 without any."""
@@ -87,7 +91,14 @@ def estimates_at(search: Search, best: Optimum, values: np.ndarray, columns: Ite
     return found
 
 
-def assess(search: Search, linear: Linear, base: tuple[str, ...], heldout: Sequence[Run]) -> Assessment:
+def assess(
+    candidate_set: CandidateSet,
+    search: Search,
+    linear: Linear,
+    base: tuple[str, ...],
+    heldout: Sequence[Run],
+    law_rivals: Mapping[str, tuple[str, ...]],
+) -> Assessment:
     """All that is told of the point of `linear`, judged by the `heldout` runs; `base`: effects always in the model."""
     criteria, scales = search.criteria, search.scales
     found = world(search, linear)
@@ -95,7 +106,7 @@ def assess(search: Search, linear: Linear, base: tuple[str, ...], heldout: Seque
     if found.has_force:
         wide = wide.enlarged(criteria.interval_force * scales.force, longest=criteria.shortest_force)
     predicted = left_out(search, linear)
-    sure = confidence(search, linear, predicted)
+    sure = confidence(search, linear, predicted, law_rivals)
     effects = tuple(sorted(sure, key=lambda effect: -sure[effect].cautious_fall))
     problem = linear.under(wide)
     values = search.segments.moved(linear.point.values, linear.optimum.step)
@@ -110,7 +121,8 @@ def assess(search: Search, linear: Linear, base: tuple[str, ...], heldout: Seque
         predictions += bands(heldout, unseen, best, own)
     floor = np.sqrt((open_loop(linear.data, own).rms_sd ** 2).mean(axis=0))
     odd = _odd_runs(search, linear, problem, gram)
-    return Assessment(search, linear, base, effects, problem, sure, predicted, found, check, floor, predictions, odd)
+    told = (problem, sure, predicted, found, check, floor, predictions, odd)
+    return Assessment(search, linear, base, effects, *told, candidate_set, law_rivals)
 
 
 def _odd_runs(search: Search, linear: Linear, problem: Subsets, gram: np.ndarray) -> tuple[OddRun, ...]:

@@ -1,6 +1,6 @@
 """How sure an effect is: sure, likely, one of several, or in place of something else."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -15,11 +15,12 @@ SURE, LIKELY, STAND_IN, AMBIGUOUS = "sure", "likely", "stand_in", "ambiguous"
 class Confidence(NamedTuple):
     """How sure one effect is.
 
-    `word`: "ambiguous" where another candidate does nearly as well in its place (`twins`); "sure" where chi^2 rises
-    by more than `threshold` without it, even if a share `cautious_force` of the forces were something else; "likely"
-    where it rises by so much under the estimated discrepancy, by half of it under the cautious one, and the effect
-    predicts runs left out; else "stand_in": it lowers the error, but something else may be the cause. `fall`,
-    `cautious_fall`: those rises. `instead`: the candidates that could take its place.
+    `word`: "ambiguous" where another candidate does nearly as well in its place (`twins`), or another law in that of a
+    law; "sure" where chi^2 rises by more than `threshold` without it, even if a share `cautious_force` of the forces
+    were something else; "likely" where it rises by so much under the estimated discrepancy, by half of it under the
+    cautious one, and the effect predicts runs left out; else "stand_in": it lowers the error, but something else may be
+    the cause. A law, whose threshold counts all forms that were tried, is likely without the half: a law is often
+    weaker than the cautious force. `fall`, `cautious_fall`: those rises. `instead`: what could take its place.
     """
 
     word: str
@@ -36,34 +37,39 @@ def cautious(search: Search, linear: Linear) -> Subsets:
     return linear.under(wide)
 
 
-def confidence(search: Search, linear: Linear, predicted: LeftOut) -> dict[str, Confidence]:
-    """How sure each effect of the point of `linear` is."""
+def confidence(
+    search: Search, linear: Linear, predicted: LeftOut, law_rivals: Mapping[str, tuple[str, ...]]
+) -> dict[str, Confidence]:
+    """How sure each effect of the point of `linear` is; `law_rivals`: what does as well as each law among them."""
     effects, wide = linear.point.effects, cautious(search, linear)
     bare_falls, wide_falls = falls(linear.subsets, effects), falls(wide, effects)
-    return {
-        effect: _confidence(search, linear.subsets, wide, predicted, effects, effect, bare_falls[effect], fall)
-        for effect, fall in wide_falls.items()
-    }
+    found = {}
+    for effect, fall in bare_falls.items():
+        law = effect in law_rivals
+        instead = twins(search, linear.subsets if law else wide, effects, effect) + law_rivals.get(effect, ())
+        predicts = predicted.gain(effects, effect).predicts
+        found[effect] = _confidence(linear.subsets.threshold(effect), predicts, law, fall, wide_falls[effect], instead)
+    return found
 
 
-def _confidence(search, subsets, wide, predicted, effects, effect, fall, cautious_fall) -> Confidence:
-    threshold = subsets.threshold(effect)
-    instead = twins(search, wide, effects, effect)
+def _confidence(
+    threshold: float, predicts: bool, law: bool, fall: float, cautious_fall: float, instead: tuple[str, ...]
+) -> Confidence:
     if instead:
         word = AMBIGUOUS
     elif cautious_fall >= threshold:
         word = SURE
-    elif fall >= threshold and cautious_fall >= threshold / 2 and predicted.gain(effects, effect).predicts:
+    elif fall >= threshold and (law or cautious_fall >= threshold / 2) and predicts:
         word = LIKELY
     else:
         word = STAND_IN
     return Confidence(word, fall, cautious_fall, threshold, instead)
 
 
-def twins(search: Search, wide: Subsets, effects: Iterable[str], effect: str) -> tuple[str, ...]:
+def twins(search: Search, problem: Subsets, effects: Iterable[str], effect: str) -> tuple[str, ...]:
     """The candidates that take the place of `effect`, the best first: chi^2 rises by less than `distinct_chi2`, and by
     less than half of what it rises by where nothing takes its place."""
-    costs = substitutes(wide, effects, effect)
-    most = min(search.criteria.distinct_chi2, 0.5 * falls(wide, effects)[effect])
+    costs = substitutes(problem, effects, effect)
+    most = min(search.criteria.distinct_chi2, 0.5 * falls(problem, effects)[effect])
     near = [other for other, cost in costs.items() if cost < most]
     return tuple(sorted(near, key=lambda other: costs[other] if np.isfinite(costs[other]) else np.inf))

@@ -18,6 +18,8 @@ from ..selection.criteria import SelectionCriteria
 from ..selection.steps import SelectionStep
 from .assessment import Assessment, assess
 from .candidate_model import candidate_model, movable_parameters
+from .evidence import world
+from .laws import with_law
 from .left_out import with_predicting_effects
 from .search import Search, search_effects
 
@@ -32,7 +34,8 @@ def supports(candidate_set: CandidateSet) -> bool:
 def assess_effects(
     case: Case, noise: Noise, candidate_set: CandidateSet, base: Sequence[str], progress: Progress
 ) -> Assessment:
-    """Which effects `candidate_set` needs beside those of the `base`, with a random force and constants within priors.
+    """Which effects `candidate_set` needs beside those of the `base`, with a random force and constants within priors;
+    where there is a random force, a law among them.
 
     **Raises:** `FitError` where a simulation is not finite.
     """
@@ -44,7 +47,12 @@ def assess_effects(
     priors = candidate_model(model, candidate_set.tyre, candidate_set.candidates, base, scales, case.constant_sd)
     search = Search(segments, priors, scales, candidate_set.criteria, progress)
     linear = with_predicting_effects(search, search_effects(search))
-    return assess(search, linear, tuple(base), case.having("heldout"))
+    law_rivals = {}
+    law = with_law(case, noise, candidate_set, search, linear, base) if world(search, linear).has_force else None
+    if law is not None:
+        candidate_set, search, linear = law.candidate_set, law.search, law.linear
+        law_rivals = {law.name: law.rivals}
+    return assess(candidate_set, search, linear, tuple(base), case.having("heldout"), law_rivals)
 
 
 def explanation_of(
@@ -127,7 +135,13 @@ def _tried(found: Assessment, steps: Sequence[SelectionStep]) -> tuple[TriedCand
                 row = _row(found, number + offset, here, effect)
                 # What was taken has been simulated; the others are known by the linear problem alone.
                 rows.append(row._replace(share=shares[effect]) if row.taken else row)
+        rows += [_rival(number + offset, law, form) for law, forms in found.law_rivals.items() for form in forms]
     return tuple(rows)
+
+
+def _rival(number: int, law: str, expression: str) -> TriedCandidate:
+    """The row of a law that could take the place of the effect `law`."""
+    return TriedCandidate(number, expression, None, None, None, False, f"these runs cannot tell it from {law}", (law,))
 
 
 def _row(found: Assessment, number: int, here: tuple[str, ...], effect: str) -> TriedCandidate:

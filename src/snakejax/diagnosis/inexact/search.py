@@ -4,7 +4,8 @@ Each round costs one linearisation of all segments by all parameters; everything
 the Gram matrices of that round, and only the step that follows is nonlinear.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -82,13 +83,15 @@ class Linear(NamedTuple):
 
 
 class Search(NamedTuple):
-    """What a search has at hand: the segments, the model of all candidates, the scales of the recording."""
+    """What a search has at hand: the segments, the model of all candidates, the scales of the recording; `trials`, see
+    `Subsets`."""
 
     segments: Segments
     model: CandidateModel
     scales: Scales
     criteria: SelectionCriteria = CRITERIA
     progress: Progress = no_progress
+    trials: Mapping[str, int] = MappingProxyType({})
 
     def prior_at(self, values: np.ndarray) -> Prior:
         """The prior of a step from `values`."""
@@ -108,7 +111,7 @@ class Search(NamedTuple):
         away = FURTHEST_CONSTANT * model.sd[constants]
         low[constants] = np.maximum(low[constants], np.minimum(prior.mean[constants] - away, 0.0))
         high[constants] = np.minimum(high[constants], np.maximum(prior.mean[constants] + away, 0.0))
-        return Subsets(gram, model.always, model.candidates, prior, low, high, self.criteria)
+        return Subsets(gram, model.always, model.candidates, prior, low, high, self.criteria, self.trials)
 
     def linearise(self, point: Point, free: np.ndarray | None = None, most: int = ROUGH) -> Linear:
         """The problem linearised at `point`; its discrepancy is estimated in `most` iterations (0: kept) with the
@@ -188,8 +191,11 @@ def distance(best: Optimum) -> float:
 def search_effects(search: Search) -> Linear:
     """The set of effects that the recordings need, fitted to the end."""
     search.progress(ProgressEvent(Phase.TYRE_BESIDE_FORCE))
-    point = search.begin()
-    point = _rounds(search, point)
+    return revised(search, _rounds(search, search.begin()))
+
+
+def revised(search: Search, point: Point) -> Linear:
+    """The effects of `point` fitted to the end, and chosen again there until nothing changes."""
     for _ in range(REVISIONS):
         search.progress(ProgressEvent(Phase.FITTING_EFFECTS))
         linear = search.refit(point, point.effects, most=FINE)

@@ -17,9 +17,10 @@ from .assessment import Assessment, estimates_at
 from .subsets import gains
 
 
-def steps_of(found: Assessment, candidate_set: CandidateSet) -> list[SelectionStep]:
+def steps_of(found: Assessment) -> list[SelectionStep]:
     """The steps after the base: the change of structure where there was one, then the effects, the strongest first."""
     names: list[tuple[str, tuple[str, ...]]] = []
+    candidate_set = found.candidate_set
     if candidate_set.switched:
         names.append((LATERAL_SLIP_SWITCH, ()))
     names += [(effect, found.effects[: k + 1]) for k, effect in enumerate(found.effects)]

@@ -1,7 +1,8 @@
 """Which effects are there, from Gram matrices alone: pruning, forward selection, exchange, runs left out."""
 
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +20,8 @@ class Subsets(NamedTuple):
     """The linear problem of which effects to take.
 
     `gram` (P + 1, P + 1); the parameters that are `always` free and those of each of the `candidates`; their `prior`,
-    whose mean is the step to the neutral value; the steps (P,) to the lowest and to the highest value.
+    whose mean is the step to the neutral value; the steps (P,) to the lowest and to the highest value. `trials`: of how
+    many forms a law is the best, by its name; a known effect is the only one.
     """
 
     gram: np.ndarray
@@ -29,6 +31,7 @@ class Subsets(NamedTuple):
     low: np.ndarray
     high: np.ndarray
     criteria: SelectionCriteria = CRITERIA
+    trials: Mapping[str, int] = MappingProxyType({})
 
     def with_effects(self, effects: Iterable[str], gram: np.ndarray | None = None) -> Optimum:
         """The optimum with `effects`, all other candidates at their neutral value."""
@@ -48,12 +51,15 @@ class Subsets(NamedTuple):
 
     def threshold(self, effect: str) -> float:
         """The fall of chi^2 that an effect brings by chance at the level of the criteria over all candidates."""
-        level = self.criteria.significance_level / self.criteria.nominal_candidates
+        level = self.criteria.significance_level / self.criteria.nominal_candidates / self.trials.get(effect, 1)
         return float(stats.chi2.isf(level, len(self.candidates[effect])))
 
     def p_value(self, effect: str, fall: float) -> float:
-        """The probability of such a `fall` of chi^2 by chance, for one candidate; 1 where it is not a number."""
-        return float(stats.chi2.sf(max(fall, 0.0), len(self.candidates[effect]))) if np.isfinite(fall) else 1.0
+        """The probability of such a `fall` of chi^2 by chance, for one candidate; 1 where it is not a number. That of a
+        law is counted once for each form that was tried (Bonferroni)."""
+        if not np.isfinite(fall):
+            return 1.0
+        return min(1.0, self.trials.get(effect, 1) * float(stats.chi2.sf(max(fall, 0.0), len(self.candidates[effect]))))
 
     def penalised(self, effects: Iterable[str]) -> float:
         """chi^2 with `effects` plus the threshold of each."""

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from snakejax.core.parameter import with_parameters
-from snakejax.dynamics.contact import slip_angle
+from snakejax.dynamics.contact import Motion, slip_angle
 from snakejax.dynamics.model import Model
 from snakejax.estimation.batch import Batch
 from snakejax.estimation.linearisation import Variables, domains_of, retract
@@ -83,7 +83,11 @@ def linearise_in_force(model: Model, at: Variables, batch: Batch, grid, knots):
 
 
 def _track(model: Model, gait, path) -> MotionSamples:
-    motion, _ = motions(model, gait, path)
+    return motion_samples(model, motions(model, gait, path)[0])
+
+
+def motion_samples(model: Model, motion: Motion) -> MotionSamples:
+    """The samples of a `motion` whose numbers have one value a sample."""
     creep = model.board.creep_speed
     places = [wheelset.place > 0 for wheelset in model.board.wheelsets]
     pairs = [(w.lateral, slip_angle(w.lateral, w.rolling, creep)) for w in motion.wheels]

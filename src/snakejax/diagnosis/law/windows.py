@@ -1,6 +1,6 @@
 """The windows of a free force, reduced to what regressions on histories of force and grip need."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -8,11 +8,27 @@ import numpy as np
 from snakejax.core.formula import evaluated, parsed
 
 from ..latent_force.estimate import ForceEstimator, ForceSolution
+from ..latent_force.force_sensitivity import MotionSamples
 from ..latent_force.piecewise_force import SPACING
 from .grammar import Family, Range
 
 FINEST = 0.02
 """Samples nearer to each other [s] are left out: the knots of the force are five times as far apart."""
+
+
+def variables_of(
+    track: MotionSamples, arranged: Callable[[np.ndarray], np.ndarray]
+) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+    """The variables (2, W, n) of a law for the wheels ahead of the middle and behind it, and the names of those of a
+    wheel; `arranged` puts the samples of one into windows (W, n)."""
+    own = {name: getattr(track, name) for name in ("time", "x", "y", "heading", "theta", "u", "w", "r")}
+    own |= {"speed": np.hypot(track.u, track.w), **track.inputs}
+    variables = {name: np.stack([arranged(np.asarray(values))] * 2) for name, values in own.items()}
+    if np.allclose(own["theta"], own["heading"], rtol=0, atol=1e-6):
+        variables.pop("theta")
+    wheel = {"slip_speed": track.slip, "slip_angle": track.angle}
+    variables |= {name: np.stack([arranged(np.asarray(side)) for side in sides]) for name, sides in wheel.items()}
+    return variables, tuple(wheel)
 
 
 class Fitted(NamedTuple):
@@ -59,17 +75,11 @@ class ForceWindows(NamedTuple):
             matrix.append(H.T @ H)
             right.append(H.T @ window.data)
             square[drive.owner[k]] += float(window.data @ window.data)
-        own = {name: getattr(track, name) for name in ("time", "x", "y", "heading", "theta", "u", "w", "r")}
-        own |= {"speed": np.hypot(track.u, track.w), **track.inputs}
-        variables = {name: np.stack([values[:, pick]] * 2) for name, values in own.items()}
-        if np.allclose(own["theta"], own["heading"], rtol=0, atol=1e-6):
-            variables.pop("theta")
-        wheel = {"slip_speed": track.slip, "slip_angle": track.angle}
-        variables |= {name: np.stack([side[:, pick] for side in sides]) for name, sides in wheel.items()}
+        variables, wheel = variables_of(track, lambda values: values[:, pick])
         pull, precision = drive.typical(now.point.values)
         count = int((np.asarray(drive.batch.weight) > 0).sum() - np.asarray(drive.batch.free_start).sum())
         whole = (np.array(onto), np.array(matrix), np.array(right), square, np.asarray(drive.owner))
-        return ForceWindows(variables, tuple(wheel), *whole, pull, precision, track.theta[:, pick], count)
+        return ForceWindows(variables, wheel, *whole, pull, precision, track.theta[:, pick], count)
 
     def ranges(self) -> dict[str, Range]:
         """What was seen of each variable that varies."""
@@ -91,7 +101,7 @@ class ForceWindows(NamedTuple):
                     known = {name: values[side] for name, values in self.variables.items()} | wide
                     value = np.broadcast_to(evaluated(tree, known, np), (G, W, n))
                     if component == "grip":
-                        found[:, t, :, 3 * K + side :: 2] = np.einsum("wkn,gwn->gwk", self.onto, value, optimize=True)
+                        found[:, t, :, 3 * K + side :: 2] = self._knots(value)
                     else:
                         wrench[component] = value
             east, north = wrench.get("east", 0.0), wrench.get("north", 0.0)
@@ -99,8 +109,12 @@ class ForceWindows(NamedTuple):
             for k, name in enumerate(("X", "Y", "N")):
                 total = along[k] + wrench.get(name, 0.0)
                 if isinstance(total, np.ndarray):
-                    found[:, t, :, k : 3 * K : 3] = np.einsum("wkn,gwn->gwk", self.onto, total, optimize=True)
+                    found[:, t, :, k : 3 * K : 3] = self._knots(total)
         return found
+
+    def _knots(self, values: np.ndarray) -> np.ndarray:
+        """The knots (G, W, K) of a history that has the `values` (G, W, n) at the samples."""
+        return (values.swapaxes(0, 1) @ self.onto.swapaxes(1, 2)).swapaxes(0, 1)
 
     def normal(self, histories: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The normal equations (R, G, P + T, P + T) and (R, G, P + T) of parameters and amplitudes, run by run."""

@@ -9,6 +9,7 @@ a fit moves, sample j of segment k and the start of the next segment are
 Segments are short, so that h and F are nearly linear in z and p even where the model is far from the recording.
 """
 
+import copy
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
@@ -24,7 +25,7 @@ from snakejax.core.parallel import cores
 from snakejax.core.parameter import Scalar, param, parameters, with_parameters
 from snakejax.dynamics.contact import Motion, Wrench
 from snakejax.dynamics.model import Model
-from snakejax.dynamics.ports import Force
+from snakejax.dynamics.ports import Effect, Force
 from snakejax.recording.run import Run
 
 from ..batch import stacked_gaits
@@ -230,6 +231,19 @@ class Segments:
         states = [initial_states(model, run) for run in runs]
         self.smoothed = self._by_segment(states)
         self.sub = self._substeps(model)
+
+    def beside(self, values: np.ndarray, **effect: Effect) -> "Segments":
+        """The same segments at the parameters `values`, whose movable parameters are those of one more effect."""
+        (name,) = effect
+        other = copy.copy(self)
+        other.model = with_parameters(self.model, dict(zip(self.names, map(jnp.asarray, values), strict=True))).add(
+            **effect
+        )
+        known = parameters(other.model)
+        other.names = tuple(part for part in known if part.startswith(f"effects.{name}."))
+        other.domains = [known[part].domain for part in other.names]
+        other.multiplicative = np.array([domain.multiplicative for domain in other.domains])
+        return other
 
     def _by_segment(self, states: Sequence[np.ndarray]) -> np.ndarray:
         """The smoothed states (S, n, 6) at the samples of each segment; the last one stands for samples filled in."""

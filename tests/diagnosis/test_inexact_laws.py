@@ -1,0 +1,101 @@
+"""Laws beside a random force: how many forms were tried counts, rivals are told, and a word says how sure a law is."""
+
+from collections import OrderedDict
+from types import MappingProxyType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from snakejax.diagnosis.inexact import confidence as sureness
+from snakejax.diagnosis.inexact import laws
+from snakejax.diagnosis.inexact.subsets import Subsets, choose
+from snakejax.diagnosis.law.grammar import Family
+from snakejax.diagnosis.law.search import ProposedLaw
+from snakejax.diagnosis.selection.criteria import CRITERIA
+from snakejax.estimation.discrepancy.kalman import Discrepancy
+from snakejax.estimation.discrepancy.least_squares import Prior
+
+FORMS = 900
+
+
+def best_of_forms(seed: int, size: float = 0.0, samples: int = 300) -> Subsets:
+    """A linear problem whose only candidate is the best of many columns that were tried; one acts by `size` standard
+    errors."""
+    rng = np.random.default_rng(seed)
+    tried = rng.normal(size=(samples, FORMS))
+    y = rng.normal(size=samples) + size / np.sqrt(samples) * tried[:, 0]
+    best = np.argmax(np.abs(tried.T @ y) / np.linalg.norm(tried, axis=0))
+    columns = np.column_stack([y, tried[:, best]])
+    unbounded = np.full(1, np.inf)
+    prior, trials = Prior(np.zeros(1), np.full(1, 1e-9)), MappingProxyType({"law_1": FORMS})
+    gram = columns.T @ columns
+    return Subsets(gram, (), OrderedDict(law_1=(0,)), prior, -unbounded, unbounded, trials=trials)
+
+
+def test_the_best_of_many_forms_is_taken_by_chance_as_often_as_the_level_says() -> None:
+    """In 100 problems without a law 0.04 are expected; without counting the forms, that of the least p-value passes."""
+    problems = [best_of_forms(k) for k in range(100)]
+    level = CRITERIA.significance_level / CRITERIA.nominal_candidates
+    assert sum(bool(choose(one, ["law_1"])) for one in problems) <= stats.binom.isf(0.001, 100, level)
+    assert sum(bool(choose(one._replace(trials={}), ["law_1"])) for one in problems) > 5
+    assert choose(best_of_forms(1, size=9.0), []) == ["law_1"]
+
+
+def proposed(expression: str, action: str, variables: tuple[str, ...], score: float) -> ProposedLaw:
+    family, none = Family("", action, variables, ()), np.zeros(0)
+    return ProposedLaw(expression, (), {}, family, none, 1.0, score, none)
+
+
+def test_rivals_are_laws_of_something_else_that_do_as_well() -> None:
+    found = (
+        proposed("best", "world", ("x",), 1000.0),
+        proposed("the same in another form", "world", ("x",), 1001.0),
+        proposed("other action", "X", ("x",), 1008.0),
+        proposed("other variable", "world", ("y",), 1008.9),
+        proposed("worse", "N", ("time",), 1009.1),
+    )
+    assert laws.rivals(found, 9.0) == ("other action", "other variable")
+
+
+@pytest.mark.parametrize(
+    ("predicts", "law", "fall", "cautious", "instead", "word"),
+    [
+        (True, False, 50.0, 20.0, (), "sure"),
+        (True, False, 50.0, 7.0, (), "likely"),
+        (True, False, 50.0, 5.0, (), "stand_in"),
+        (True, True, 50.0, 5.0, (), "likely"),
+        (True, True, 50.0, 13.0, (), "sure"),
+        (True, True, 50.0, 13.0, ("Y = a * u",), "ambiguous"),
+        (False, True, 50.0, 5.0, (), "stand_in"),
+        (True, True, 11.0, 5.0, (), "stand_in"),
+    ],
+)
+def test_the_word_for_a_law(predicts, law, fall, cautious, instead, word) -> None:
+    assert sureness._confidence(12.0, predicts, law, fall, cautious, instead).word == word
+
+
+def test_a_law_is_looked_for_beside_a_weaker_force() -> None:
+    """Two columns: the candidate shows only where the force no longer explains it."""
+    of = Discrepancy(np.ones(3), np.ones(3), 0.2, np.array([0.3, 3e-4, 0.0]), 1.0)
+    asked: list[Any] = []
+
+    def under(discrepancy: Discrepancy) -> Subsets:
+        asked.append(discrepancy)
+        columns = np.array([[5.0, 0.0], [0.0, 0.01]]) if discrepancy.force[0] > 0.2 else np.diag([5.0, 5.0])
+        columns[0, 1] = columns[1, 1]
+        unbounded = np.full(1, np.inf)
+        prior = Prior(np.zeros(1), np.full(1, 1e-9))
+        return Subsets(columns.T @ columns, (), OrderedDict(drag=(0,)), prior, -unbounded, unbounded)
+
+    class Made(SimpleNamespace):
+        def _replace(self, **new: Any) -> "Made":
+            return Made(**(vars(self) | new))
+
+    point = Made(discrepancy=of, effects=())
+    search: Any = SimpleNamespace(scales=SimpleNamespace(least_force=np.full(3, 2e-4)))
+    found = laws.beside_weaker_force(search, Made(point=point, under=under))  # type: ignore[arg-type]
+    np.testing.assert_allclose(asked[0].force, [0.1, 2e-4, 2e-4])
+    assert found.point.discrepancy is asked[0] and found.point.effects == ()
+    np.testing.assert_array_equal(found.subsets.gram, under(asked[0]).gram)
