@@ -1,7 +1,7 @@
 """Laws beside a random force: how many forms were tried counts, rivals are told, and a word says how sure a law is."""
 
 from collections import OrderedDict
-from types import MappingProxyType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from scipy import stats
 from snakejax.diagnosis.inexact import confidence as sureness
 from snakejax.diagnosis.inexact import laws
 from snakejax.diagnosis.inexact.subsets import Subsets, choose
-from snakejax.diagnosis.law.grammar import Family
+from snakejax.diagnosis.law.grammar import Family, Term
 from snakejax.diagnosis.law.search import ProposedLaw
 from snakejax.diagnosis.selection.criteria import CRITERIA
 from snakejax.estimation.discrepancy.kalman import Discrepancy
@@ -29,7 +29,7 @@ def best_of_forms(seed: int, size: float = 0.0, samples: int = 300) -> Subsets:
     best = np.argmax(np.abs(tried.T @ y) / np.linalg.norm(tried, axis=0))
     columns = np.column_stack([y, tried[:, best]])
     unbounded = np.full(1, np.inf)
-    prior, trials = Prior(np.zeros(1), np.full(1, 1e-9)), MappingProxyType({"law_1": FORMS})
+    prior, trials = Prior(np.zeros(1), np.full(1, 1e-9)), {"law_1": FORMS}
     gram = columns.T @ columns
     return Subsets(gram, (), OrderedDict(law_1=(0,)), prior, -unbounded, unbounded, trials=trials)
 
@@ -43,20 +43,61 @@ def test_the_best_of_many_forms_is_taken_by_chance_as_often_as_the_level_says() 
     assert choose(best_of_forms(1, size=9.0), []) == ["law_1"]
 
 
-def proposed(expression: str, action: str, variables: tuple[str, ...], score: float) -> ProposedLaw:
-    family, none = Family("", action, variables, ()), np.zeros(0)
-    return ProposedLaw(expression, (), {}, family, none, 1.0, score, none)
+def proposal(expression: str, action: str, variables: tuple[str, ...], penalised: float) -> laws.Proposal:
+    family, none = Family("", action, variables, (Term("a", {}, ((action, expression),)),)), np.zeros(0)
+    law = ProposedLaw(expression, (), {}, family, none, 1.0, penalised, none)
+    return laws.Proposal(None, law, 1, penalised)  # type: ignore[arg-type]
 
 
 def test_rivals_are_laws_of_something_else_that_do_as_well() -> None:
-    found = (
-        proposed("best", "world", ("x",), 1000.0),
-        proposed("the same in another form", "world", ("x",), 1001.0),
-        proposed("other action", "X", ("x",), 1008.0),
-        proposed("other variable", "world", ("y",), 1008.9),
-        proposed("worse", "N", ("time",), 1009.1),
-    )
-    assert laws.rivals(found, 9.0) == ("other action", "other variable")
+    found = [
+        proposal("worse", "N", ("time",), 1009.1),
+        proposal("other variable", "world", ("y",), 1008.9),
+        proposal("best", "world", ("x",), 1000.0),
+        proposal("the same in another form", "world", ("x",), 1001.0),
+        proposal("best", "world", ("x",), 1002.0),  # beside other effects
+        proposal("other action", "X", ("x",), 1008.0),
+    ]
+    ordered = laws.distinct(found)
+    assert [(one.law.expression, one.penalised) for one in ordered] == [
+        ("best", 1000.0),
+        ("the same in another form", 1001.0),
+        ("other action", 1008.0),
+        ("other variable", 1008.9),
+        ("worse", 1009.1),
+    ]
+    near = ordered[:4]
+    assert laws.rivals(near, near[0]) == ("other action", "other variable")
+    assert laws.rivals(near, near[2]) == ("best", "the same in another form", "other variable")
+    assert laws.distinct([]) == []
+
+
+@pytest.mark.parametrize(("after", "kept"), [(0.5, "second"), (1.5, None)])
+def test_of_laws_that_do_as_well_the_one_that_predicts_runs_left_out_best_is_kept(after, kept, monkeypatch) -> None:
+    """The best in the segments leaves 0.8 of each run left out, the second `after` and 0.5, against 1 without a law."""
+    errors = {"first": 0.8 if kept else 1.2, "second": after, "third": None}
+    found = [proposal(name, "X", (name,), 1000.0 + k) for k, name in enumerate(errors)]
+
+    def fitted(*given: Any) -> laws.FoundLaw | None:
+        name = given[-1].law.expression
+        if errors[name] is None:
+            return None
+        error = errors[name] * np.array([1.0, 1.01, 0.99])
+        return laws.FoundLaw(name, (), None, None, None, error)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(laws, "_fitted", fitted)
+    monkeypatch.setattr(laws, "proposed", lambda search, weak: found)
+    monkeypatch.setattr(laws, "beside_weaker_force", lambda search, linear: [None])
+    plain = SimpleNamespace(error=lambda effects: np.ones(3))
+    monkeypatch.setattr(laws, "left_out", lambda search, linear: plain)
+    search: Any = SimpleNamespace(progress=lambda event: None, criteria=CRITERIA)
+    linear: Any = SimpleNamespace(gram=np.zeros((3, 1, 1)), point=SimpleNamespace(effects=()))
+    one_run: Any = SimpleNamespace(gram=np.zeros((1, 1, 1)))
+    none: Any = None
+    got = laws.with_law(none, none, none, search, linear, ())
+    assert (got and got.name) == kept
+    assert got is None or got.rivals == ("first", "third")
+    assert laws.with_law(none, none, none, search, one_run, ()) is None
 
 
 @pytest.mark.parametrize(
@@ -83,7 +124,7 @@ def test_a_law_is_looked_for_beside_a_weaker_force() -> None:
 
     def under(discrepancy: Discrepancy) -> Subsets:
         asked.append(discrepancy)
-        columns = np.array([[5.0, 0.0], [0.0, 0.01]]) if discrepancy.force[0] > 0.2 else np.diag([5.0, 5.0])
+        columns = np.array([[5.0, 0.0], [0.0, 0.01]]) if discrepancy.force[0] > 0.2 else np.diag([8.0, 8.0])
         columns[0, 1] = columns[1, 1]
         unbounded = np.full(1, np.inf)
         prior = Prior(np.zeros(1), np.full(1, 1e-9))
@@ -95,7 +136,10 @@ def test_a_law_is_looked_for_beside_a_weaker_force() -> None:
 
     point = Made(discrepancy=of, effects=())
     search: Any = SimpleNamespace(scales=SimpleNamespace(least_force=np.full(3, 2e-4)))
-    found = laws.beside_weaker_force(search, Made(point=point, under=under))  # type: ignore[arg-type]
+    whole: Any = Made(point=point, under=under)
+    found = laws.beside_weaker_force(search, whole)
     np.testing.assert_allclose(asked[0].force, [0.1, 2e-4, 2e-4])
-    assert found.point.discrepancy is asked[0] and found.point.effects == ()
-    np.testing.assert_array_equal(found.subsets.gram, under(asked[0]).gram)
+    assert [one.point.effects for one in found] == [(), ("drag",)]
+    for one in found:
+        assert one.point.discrepancy is asked[0]
+        np.testing.assert_array_equal(one.subsets.gram, under(asked[0]).gram)

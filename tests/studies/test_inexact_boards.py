@@ -73,3 +73,33 @@ def test_a_strong_effect_is_found_beside_what_no_model_holds() -> None:
     assert found.share["rolling_resistance"] > 0.95
     assert 0.85 < np.mean([band.inside for band in found.bands]) <= 1.0
     assert found.final.heldout.misfit < 0.01 * found.base.heldout.misfit
+
+
+class Ribs(Force):
+    """A force in the world that changes along x."""
+
+    height: jnp.ndarray = param("N", default=0.0)
+
+    def wrench(self, motion):
+        """(X, Y, N) of the force along x."""
+        east = -self.height * jnp.sin(9.0 * motion.x)
+        X, Y = motion.into_body(east, jnp.zeros_like(east))
+        return X, Y, jnp.zeros_like(east)
+
+
+def test_a_law_is_found_in_the_random_force() -> None:
+    """A fiftieth of the forces that move the board, beside an effect that is fifty times as visible."""
+    rolling = LIBRARY["rolling_resistance"](f=jnp.asarray(ROLLING))
+    case = recorded({"ribs": Ribs(jnp.asarray(0.03)), "rolling_resistance": rolling}, 2)
+    library = {name: LIBRARY[name]() for name in ("rolling_resistance", "yaw_bias", "ground_slope", "grip_gradient")}
+    found = explain(case, case.noise, library)
+    assert found.verdict == "explained" and "rolling_resistance" in found.effects
+    law, estimates = found.named_laws["law_1"], found.final.estimates
+    assert law.expression == "east = a * sin(k * x)"
+    for name, true in (("a", -0.03), ("k", 9.0)):
+        estimate = estimates[f"effects.law_1.{name}"]
+        assert estimate.sd is not None and abs(estimate.value - true) < 3.3 * estimate.sd < abs(true)
+    assert found.confidence["law_1"] in ("sure", "likely")
+    before = next(step for step in found.steps if step.name == "rolling_resistance").heldout
+    assert before is not None and found.final.heldout is not None
+    assert found.final.heldout.misfit < before.misfit

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from snakejax.core.errors import FitError
 from snakejax.core.progress import Phase, ProgressEvent
 from snakejax.dynamics.law import law_class
 from snakejax.estimation.discrepancy.segments import Segments
@@ -30,19 +31,42 @@ from .subsets import choose
 WEAKER = 1 / 3
 """A law is looked for beside this share of the random force: a tenth of its power, so that the law is taken for the
 rest."""
+TRIED = 5
+"""So many laws are fitted with everything else, at most."""
 WIDE = 3.0
 """Prior standard deviation of a number of a law, as a multiple of its value in the segments."""
 
 
+class Proposal(NamedTuple):
+    """A `law` that the segments propose, the best of `forms`, beside the effects of `weak`. `penalised`: chi^2 on runs
+    left out with it, and what its parameters and the effects cost."""
+
+    weak: Linear
+    law: ProposedLaw
+    forms: int
+    penalised: float
+
+    @property
+    def subject(self) -> tuple[str, tuple[str, ...]]:
+        """On what it acts, and on which variables it depends."""
+        return self.law.family.action, self.law.family.variables
+
+    @property
+    def form(self) -> tuple[frozenset[tuple[tuple[str, str], ...]], int]:
+        """Its formulas without the names of their amplitudes, and the number of parameters inside them."""
+        return frozenset(term.formulas for term in self.law.family.terms), len(self.law.family.shape)
+
+
 class FoundLaw(NamedTuple):
-    """The law `name` in the model at `linear`, whose candidates `candidate_set` and `search` hold; `rivals`: the
-    expressions of other laws that do as well in the segments."""
+    """The law `name` in the model at `linear`, whose candidates `candidate_set` and `search` hold; `error` (R,): the
+    squared error of train runs left out; `rivals`: the expressions of other laws that do as well in the segments."""
 
     name: str
     rivals: tuple[str, ...]
     candidate_set: CandidateSet
     search: Search
     linear: Linear
+    error: np.ndarray
 
 
 def with_law(
@@ -53,43 +77,66 @@ def with_law(
     if len(linear.gram) < 2:
         return None
     search.progress(ProgressEvent(Phase.LAW_SEARCH))
-    weak = beside_weaker_force(search, linear)
-    windows = force_windows(search, weak)
-    laws = search_laws(windows)
-    if not laws:
+    proposals = [one for weak in beside_weaker_force(search, linear) for one in proposed(search, weak)]
+    ordered = distinct(proposals)
+    near = [one for one in ordered if one.penalised - ordered[0].penalised < search.criteria.distinct_chi2]
+    fitted = []
+    for one in ordered[:TRIED]:
+        search.progress(ProgressEvent(Phase.LAW_FIT, f"fitting {one.law.expression} beside a random force"))
+        found = _fitted(case, noise, candidate_set, search, base, one)
+        if found is not None:
+            fitted.append(found._replace(rivals=rivals(near, one)))
+    best = min(fitted, key=lambda found: found.error.sum(), default=None)
+    if best is None or not predicts_better(best.error, left_out(search, linear).error(linear.point.effects)):
         return None
-    best, (name,) = laws[0], law_names(1)
-    search.progress(ProgressEvent(Phase.LAW_FIT, f"fitting {best.expression} beside a random force"))
-    forms = sum(1 for _ in families(windows.ranges(), windows.wheel))
-    own_set, own = search_with(case, noise, candidate_set, search, base, {name: best}, {name: forms})
-    found = with_predicting_effects(own, revised(own, start_of(search, own, weak, name, best)))
-    effects, known = found.point.effects, linear.point.effects
+    return best
+
+
+def _fitted(
+    case: Case, noise: Noise, candidate_set: CandidateSet, search: Search, base: Sequence[str], one: Proposal
+) -> FoundLaw | None:
+    """The model with the law of a proposal, its effects chosen again; None where the law is not among them then."""
+    (name,) = law_names(1)
+    own_set, own = search_with(case, noise, candidate_set, search, base, {name: one.law}, {name: one.forms})
+    try:
+        linear = with_predicting_effects(own, revised(own, start_of(search, own, one.weak, name, one.law)))
+    except FitError:
+        return None
+    effects = linear.point.effects
     if name not in effects:
         return None
-    after, before = left_out(own, found).error(effects), left_out(search, linear).error(known)
-    if not predicts_better(after, before):
-        return None
-    return FoundLaw(name, rivals(laws, search.criteria.distinct_chi2), own_set, own, found)
+    return FoundLaw(name, (), own_set, own, linear, left_out(own, linear).error(effects))
 
 
-def rivals(laws: Sequence[ProposedLaw], distinct_chi2: float) -> tuple[str, ...]:
-    """The laws of another action or of other variables than the first, that leave chi^2 on runs left out, with what
-    their parameters cost, less than `distinct_chi2` above that of the first."""
-    best = laws[0]
-
-    def of(law: ProposedLaw) -> tuple[str, tuple[str, ...]]:
-        return law.family.action, law.family.variables
-
-    return tuple(law.expression for law in laws[1:] if of(law) != of(best) and law.score - best.score < distinct_chi2)
+def distinct(proposals: Sequence[Proposal]) -> list[Proposal]:
+    """The proposals, the best first, each form once: beside those effects with which it is best."""
+    found: dict[object, Proposal] = {}
+    for one in sorted(proposals, key=lambda one: one.penalised):
+        found.setdefault(one.form, one)
+    return list(found.values())
 
 
-def beside_weaker_force(search: Search, linear: Linear) -> Linear:
-    """`linear` with a weaker random force, and the known effects that are significant beside it."""
+def rivals(near: Sequence[Proposal], chosen: Proposal) -> tuple[str, ...]:
+    """The expressions of the laws among those `near` that act on something else, or by other variables."""
+    return tuple(one.law.expression for one in near if one.subject != chosen.subject)
+
+
+def beside_weaker_force(search: Search, linear: Linear) -> list[Linear]:
+    """`linear` with a weaker random force, with its effects and, where they are others, with those that are significant
+    beside that force: some of them are there, and some stand in for the law."""
     point = linear.point
     weaker = point.discrepancy.without_force(np.maximum(WEAKER * point.discrepancy.force, search.scales.least_force))
     subsets = linear.under(weaker)
-    effects = choose(subsets, point.effects)
-    return linear._replace(point=point._replace(discrepancy=weaker, effects=tuple(effects)), subsets=subsets)
+    sets = dict.fromkeys(tuple(sorted(effects)) for effects in (point.effects, choose(subsets, point.effects)))
+    return [linear._replace(point=point._replace(discrepancy=weaker, effects=e), subsets=subsets) for e in sets]
+
+
+def proposed(search: Search, weak: Linear) -> list[Proposal]:
+    """The laws that the segments propose beside the effects of `weak`."""
+    windows = force_windows(search, weak)
+    forms = sum(1 for _ in families(windows.ranges(), windows.wheel))
+    thresholds = sum(weak.subsets.threshold(effect) for effect in weak.point.effects)
+    return [Proposal(weak, law, forms, law.score + thresholds) for law in search_laws(windows)]
 
 
 def search_with(

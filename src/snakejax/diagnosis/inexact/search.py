@@ -5,7 +5,6 @@ the Gram matrices of that round, and only the step that follows is nonlinear.
 """
 
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -91,7 +90,7 @@ class Search(NamedTuple):
     scales: Scales
     criteria: SelectionCriteria = CRITERIA
     progress: Progress = no_progress
-    trials: Mapping[str, int] = MappingProxyType({})
+    trials: Mapping[str, int] = {}
 
     def prior_at(self, values: np.ndarray) -> Prior:
         """The prior of a step from `values`."""

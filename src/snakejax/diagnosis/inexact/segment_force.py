@@ -117,6 +117,7 @@ def force_windows(search: Search, linear: Linear) -> ForceWindows:
         prior.precision[free],
         arranged(np.asarray(track.theta)),
         int(linear.data.present.sum()),
+        beside=True,
     )
 
 

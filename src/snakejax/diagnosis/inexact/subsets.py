@@ -2,7 +2,6 @@
 
 from collections import OrderedDict
 from collections.abc import Iterable, Mapping
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +30,7 @@ class Subsets(NamedTuple):
     low: np.ndarray
     high: np.ndarray
     criteria: SelectionCriteria = CRITERIA
-    trials: Mapping[str, int] = MappingProxyType({})
+    trials: Mapping[str, int] = {}
 
     def with_effects(self, effects: Iterable[str], gram: np.ndarray | None = None) -> Optimum:
         """The optimum with `effects`, all other candidates at their neutral value."""

@@ -157,8 +157,9 @@ def _refined(windows: ForceWindows, trial: _Trial, given: Sequence[np.ndarray]) 
 
 
 def _pruned(windows: ForceWindows, trial: _Trial, given: Sequence[np.ndarray]) -> _Trial:
-    """`trial` without the terms that predict nothing on runs left out."""
-    while len(trial.family.terms) > 1:
+    """`trial` without the terms that predict nothing on runs left out. A spring keeps all of its terms: without
+    one, its point would be on an axis of the world, which lies where the cameras have it."""
+    while len(trial.family.terms) > 1 and trial.family.name != "spring":
         worth = max(FEWEST_CHI2, 0.02 * (trial.left_out - windows.samples))
         terms = trial.family.terms
         fewer = [trial.family._replace(terms=(*terms[:k], *terms[k + 1 :])) for k in range(len(terms))]
@@ -176,7 +177,7 @@ def _proposed(trial: _Trial, samples: int, score: float) -> ProposedLaw:
     values = {term.amplitude: float(a) for term, a in zip(family.terms, trial.amplitudes, strict=True)}
     parameters = [LawParameter(term.amplitude, unit_text(term.unit)) for term in family.terms]
     expression = family.expression()
-    if family.name == "spring" and len(family.terms) == 3 and abs(values["k"]) > 0:
+    if family.name == "spring" and abs(values["k"]) > 0:
         k = values["k"]
         values = {"k": k, "x0": values["a"] / k, "y0": values["b"] / k}
         expression = "east = k * (x0 - x); north = k * (y0 - y)"

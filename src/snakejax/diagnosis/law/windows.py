@@ -45,7 +45,8 @@ class ForceWindows(NamedTuple):
     """W windows at n samples with K knots: `variables` (2, W, n) for the wheels ahead of the middle and behind it;
     `onto` (W, K, n), the least squares onto the knots; per window the normal equations `matrix` (W, P + 5K, P + 5K),
     `right` of parameters, force knots and grip knots; `square` (R,); `owner` (W,): the run; `pull` and `precision` (P,)
-    of the parameters; `theta` (W, n)."""
+    of the parameters; `theta` (W, n). `beside`: the parameters beside a law are those of all runs, and only the law is
+    fitted anew where a run is left out."""
 
     variables: dict[str, np.ndarray]
     wheel: tuple[str, ...]
@@ -58,6 +59,7 @@ class ForceWindows(NamedTuple):
     precision: np.ndarray
     theta: np.ndarray
     samples: int
+    beside: bool = False
 
     @staticmethod
     def of(drive: ForceEstimator, now: ForceSolution) -> "ForceWindows":
@@ -145,6 +147,9 @@ class ForceWindows(NamedTuple):
         left = np.zeros(len(chi2))
         for k, (one, own) in enumerate(zip(matrix, right, strict=True)):
             d = self._solved(total - one, slope - own, total)
+            if self.beside:
+                rest = slope[:, :P] - np.einsum("gij,gj->gi", total[:, :P, P:], d[:, P:])
+                d[:, :P] = self._solved(total[:, :P, :P], rest, total[:, :P, :P])
             left += self.square[k] - 2 * (own * d).sum(-1) + np.einsum("gi,gij,gj->g", d, one, d)
         return Fitted(c[:, P:], c[:, :P], chi2, left)
 

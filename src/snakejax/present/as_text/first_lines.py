@@ -48,7 +48,7 @@ def _causes(explanation: Explanation) -> Iterator[str]:
         known = tuple(effect for effect in explanation.effects if effect not in explanation.named_laws)
         if known:
             yield f"Still significant beside the missing force: {listed(known)}."
-    told = (*explanation.partial, *explanation.named_laws)
+    told = tuple(dict.fromkeys((*explanation.partial, *explanation.named_laws)))
     for effect in told if explanation.verdict == "unexplained" else explanation.effects:
         helped = "Lowers the error: " if explanation.verdict == "unexplained" else ""
         values = values_text(final.estimates_of(effect))
