@@ -1,6 +1,6 @@
 """Everything that is told of the effects which a search has found, as plain numbers."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -34,8 +34,7 @@ class Assessment(NamedTuple):
     `base`: effects that were in the model from the start; `effects`, the strongest first; `wide`: the problem under the
     discrepancy of intervals (`interval_force`); `confidence` of each effect; `predicted`: runs left out; `world`: what
     else is there; `check` of the held-out runs; `floor` (3,) [m, m, rad]: what vehicle and cameras leave of whole runs;
-    `bands` of all runs; `odd_runs` among the train runs; `candidate_set`: that of the search; `law_rivals`: the
-    expressions of other laws that do as well as that of each law among the effects.
+    `bands` of all runs; `odd_runs` among the train runs; `candidate_set`: that of the search.
     """
 
     search: Search
@@ -51,7 +50,6 @@ class Assessment(NamedTuple):
     bands: tuple[RunBand, ...]
     odd_runs: tuple[OddRun, ...]
     candidate_set: CandidateSet
-    law_rivals: Mapping[str, tuple[str, ...]]
 
     def inside(self, role: str) -> float:
         """The mean share of the samples of the runs of `role` inside the bands of their predictions; 1 without any."""
@@ -97,16 +95,17 @@ def assess(
     linear: Linear,
     base: tuple[str, ...],
     heldout: Sequence[Run],
-    law_rivals: Mapping[str, tuple[str, ...]],
+    laws: Sequence[str],
 ) -> Assessment:
-    """All that is told of the point of `linear`, judged by the `heldout` runs; `base`: effects always in the model."""
+    """All that is told of the point of `linear`, judged by the `heldout` runs; `base`: effects always in the model;
+    `laws`: those of its effects that are laws."""
     criteria, scales = search.criteria, search.scales
     found = world(search, linear)
     wide = linear.point.discrepancy
     if found.has_force:
         wide = wide.enlarged(criteria.interval_force * scales.force, longest=criteria.shortest_force)
     predicted = left_out(search, linear)
-    sure = confidence(search, linear, predicted, law_rivals)
+    sure = confidence(search, linear, predicted, laws)
     effects = tuple(sorted(sure, key=lambda effect: -sure[effect].cautious_fall))
     problem = linear.under(wide)
     values = search.segments.moved(linear.point.values, linear.optimum.step)
@@ -122,7 +121,7 @@ def assess(
     floor = np.sqrt((open_loop(linear.data, own).rms_sd ** 2).mean(axis=0))
     odd = _odd_runs(search, linear, problem, gram)
     told = (problem, sure, predicted, found, check, floor, predictions, odd)
-    return Assessment(search, linear, base, effects, *told, candidate_set, law_rivals)
+    return Assessment(search, linear, base, effects, *told, candidate_set)
 
 
 def _odd_runs(search: Search, linear: Linear, problem: Subsets, gram: np.ndarray) -> tuple[OddRun, ...]:

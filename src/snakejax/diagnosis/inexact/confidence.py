@@ -1,6 +1,6 @@
 """How sure an effect is: sure, likely, one of several, or in place of something else."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,12 +15,12 @@ SURE, LIKELY, STAND_IN, AMBIGUOUS = "sure", "likely", "stand_in", "ambiguous"
 class Confidence(NamedTuple):
     """How sure one effect is.
 
-    `word`: "ambiguous" where another candidate does nearly as well in its place (`twins`), or another law in that of a
-    law; "sure" where chi^2 rises by more than `threshold` without it, even if a share `cautious_force` of the forces
-    were something else; "likely" where it rises by so much under the estimated discrepancy, by half of it under the
-    cautious one, and the effect predicts runs left out; else "stand_in": it lowers the error, but something else may be
-    the cause. A law, whose threshold counts all forms that were tried, is likely without the half: a law is often
-    weaker than the cautious force. `fall`, `cautious_fall`: those rises. `instead`: what could take its place.
+    `word`: "ambiguous" where another candidate does nearly as well in its place (`twins`); "sure" where chi^2 rises by
+    more than `threshold` without it, even if a share `cautious_force` of the forces were something else; "likely" where
+    it rises by so much under the estimated discrepancy, by half of it under the cautious one, and the effect predicts
+    runs left out; else "stand_in": it lowers the error, but something else may be the cause. A law, whose threshold
+    counts all forms that were tried, is likely without the half: a law is often weaker than the cautious force. `fall`,
+    `cautious_fall`: those rises. `instead`: the candidates that could take its place.
     """
 
     word: str
@@ -37,16 +37,14 @@ def cautious(search: Search, linear: Linear) -> Subsets:
     return linear.under(wide)
 
 
-def confidence(
-    search: Search, linear: Linear, predicted: LeftOut, law_rivals: Mapping[str, tuple[str, ...]]
-) -> dict[str, Confidence]:
-    """How sure each effect of the point of `linear` is; `law_rivals`: what does as well as each law among them."""
+def confidence(search: Search, linear: Linear, predicted: LeftOut, laws: Sequence[str]) -> dict[str, Confidence]:
+    """How sure each effect of the point of `linear` is; `laws`: those that are laws."""
     effects, wide = linear.point.effects, cautious(search, linear)
     bare_falls, wide_falls = falls(linear.subsets, effects), falls(wide, effects)
     found = {}
     for effect, fall in bare_falls.items():
-        law = effect in law_rivals
-        instead = twins(search, linear.subsets if law else wide, effects, effect) + law_rivals.get(effect, ())
+        law = effect in laws
+        instead = twins(search, linear.subsets if law else wide, effects, effect)
         predicts = predicted.gain(effects, effect).predicts
         found[effect] = _confidence(linear.subsets.threshold(effect), predicts, law, fall, wide_falls[effect], instead)
     return found

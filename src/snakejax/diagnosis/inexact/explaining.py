@@ -47,12 +47,12 @@ def assess_effects(
     priors = candidate_model(model, candidate_set.tyre, candidate_set.candidates, base, scales, case.constant_sd)
     search = Search(segments, priors, scales, candidate_set.criteria, progress)
     linear = with_predicting_effects(search, search_effects(search))
-    law_rivals = {}
+    laws: tuple[str, ...] = ()
     law = with_law(case, noise, candidate_set, search, linear, base) if world(search, linear).has_force else None
     if law is not None:
         candidate_set, search, linear = law.candidate_set, law.search, law.linear
-        law_rivals = {law.name: law.rivals}
-    return assess(candidate_set, search, linear, tuple(base), case.having("heldout"), law_rivals)
+        laws = (law.name,)
+    return assess(candidate_set, search, linear, tuple(base), case.having("heldout"), laws)
 
 
 def explanation_of(
@@ -135,13 +135,7 @@ def _tried(found: Assessment, steps: Sequence[SelectionStep]) -> tuple[TriedCand
                 row = _row(found, number + offset, here, effect)
                 # What was taken has been simulated; the others are known by the linear problem alone.
                 rows.append(row._replace(share=shares[effect]) if row.taken else row)
-        rows += [_rival(number + offset, law, form) for law, forms in found.law_rivals.items() for form in forms]
     return tuple(rows)
-
-
-def _rival(number: int, law: str, expression: str) -> TriedCandidate:
-    """The row of a law that could take the place of the effect `law`."""
-    return TriedCandidate(number, expression, None, None, None, False, f"these runs cannot tell it from {law}", (law,))
 
 
 def _row(found: Assessment, number: int, here: tuple[str, ...], effect: str) -> TriedCandidate:

@@ -59,10 +59,9 @@ class Proposal(NamedTuple):
 
 class FoundLaw(NamedTuple):
     """The law `name` in the model at `linear`, whose candidates `candidate_set` and `search` hold; `error` (R,): the
-    squared error of train runs left out; `rivals`: the expressions of other laws that do as well in the segments."""
+    squared error of train runs left out."""
 
     name: str
-    rivals: tuple[str, ...]
     candidate_set: CandidateSet
     search: Search
     linear: Linear
@@ -73,19 +72,23 @@ def with_law(
     case: Case, noise: Noise, candidate_set: CandidateSet, search: Search, linear: Linear, base: Sequence[str]
 ) -> FoundLaw | None:
     """The model with the law that predicts train runs left out best; None where none predicts them better than that of
-    `linear` does, by more than its standard error, or where there is but one run."""
+    `linear` does, by more than its standard error, where a law of something else does as well in the segments, so that
+    other motions would tell which it is, or where there is but one run."""
     if len(linear.gram) < 2:
         return None
     search.progress(ProgressEvent(Phase.LAW_SEARCH))
     proposals = [one for weak in beside_weaker_force(search, linear) for one in proposed(search, weak)]
     ordered = distinct(proposals)
     near = [one for one in ordered if one.penalised - ordered[0].penalised < search.criteria.distinct_chi2]
+    subjects = {one.subject for one in near}
+    if len(subjects) != 1:
+        return None
     fitted = []
-    for one in ordered[:TRIED]:
+    for one in [one for one in ordered if one.subject in subjects][:TRIED]:
         search.progress(ProgressEvent(Phase.LAW_FIT, f"fitting {one.law.expression} beside a random force"))
         found = _fitted(case, noise, candidate_set, search, base, one)
         if found is not None:
-            fitted.append(found._replace(rivals=rivals(near, one)))
+            fitted.append(found)
     best = min(fitted, key=lambda found: found.error.sum(), default=None)
     if best is None or not predicts_better(best.error, left_out(search, linear).error(linear.point.effects)):
         return None
@@ -105,7 +108,7 @@ def _fitted(
     effects = linear.point.effects
     if name not in effects:
         return None
-    return FoundLaw(name, (), own_set, own, linear, left_out(own, linear).error(effects))
+    return FoundLaw(name, own_set, own, linear, left_out(own, linear).error(effects))
 
 
 def distinct(proposals: Sequence[Proposal]) -> list[Proposal]:
@@ -114,11 +117,6 @@ def distinct(proposals: Sequence[Proposal]) -> list[Proposal]:
     for one in sorted(proposals, key=lambda one: one.penalised):
         found.setdefault(one.form, one)
     return list(found.values())
-
-
-def rivals(near: Sequence[Proposal], chosen: Proposal) -> tuple[str, ...]:
-    """The expressions of the laws among those `near` that act on something else, or by other variables."""
-    return tuple(one.law.expression for one in near if one.subject != chosen.subject)
 
 
 def beside_weaker_force(search: Search, linear: Linear) -> list[Linear]:
