@@ -39,7 +39,7 @@ def run(options: argparse.Namespace) -> int:
     """Explain each CASE."""
     threshold(options.robust)
     require_films(options)
-    return each_case(options, lambda case, say: work(options, case, say))
+    return each_case(options, lambda case, say: work(options, case, say), drop_programs=True)
 
 
 def plan(options: argparse.Namespace, case: Any) -> Outcome:

@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import functools
+import gc
 import os
 import sys
 import time
@@ -130,10 +131,12 @@ def each_case(
     *,
     presets: bool = False,
     to_train: bool = True,
+    drop_programs: bool = False,
 ) -> int:
     """Do `work` on each CASE, deliver its result, and return the exit status: 2 for wrong input, 1 for failed numerics.
 
-    A CASE that fails gives one line on standard error; the others are computed all the same.
+    A CASE that fails gives one line on standard error; the others are computed all the same. `drop_programs` removes
+    the compiled programs of a CASE from memory before the next one starts.
     """
     start_jax()
     cases, status = _readable(options, presets, to_train)
@@ -159,7 +162,17 @@ def each_case(
         for done, (name, case) in enumerate(cases.items()):
             label = f"{name} ({done + 1}/{len(cases)})" if len(cases) > 1 else name
             status = max(status, _status_of(deliver, name, case, functools.partial(say, case=done, label=label)))
+            if drop_programs and done + 1 < len(cases):
+                _drop_programs()
     return status
+
+
+def _drop_programs() -> None:
+    """Remove all compiled programs from memory; those that are needed again are read from the folder on disk."""
+    import jax
+
+    jax.clear_caches()
+    gc.collect()  # The functions and programs refer to each other.
 
 
 def _readable(options: argparse.Namespace, presets: bool, to_train: bool) -> tuple[dict[str, Any], int]:
