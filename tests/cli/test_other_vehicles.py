@@ -93,6 +93,25 @@ def test_a_gain_beside_a_constant_to_be_estimated_is_refused(car: Path) -> None:
     assert "do not slip" in (library(vehicle)["load_transfer"]().inapplicable_because(model) or "")
 
 
+def test_a_plan_leaves_the_result_of_an_explanation_as_it_is(car: Path, tmp_path: Path) -> None:
+    (tmp_path / "explain.json").write_text("a result of minutes")
+    assert main(["explain", str(car), "--plan", "--out", str(tmp_path), "--quiet"]) == 0
+    assert (tmp_path / "explain.json").read_text() == "a result of minutes"
+    assert "candidates" in json.loads((tmp_path / "plan.json").read_text())
+
+
+def test_the_result_is_told_before_it_is_drawn(
+    car: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    def fails(path: Path, text: str) -> None:
+        raise RuntimeError("no room on the disk")
+
+    monkeypatch.setattr("snakejax.core.files.write_whole", fails)
+    assert main(["explain", str(car), "--plan", "--out", str(tmp_path), "--quiet"]) == 1
+    assert main(["explain", str(car), "--plan", "--out", str(tmp_path)]) == 1
+    assert "steering_lag" in capsys.readouterr().out
+
+
 def test_the_options_of_a_car_are_those_of_its_vehicle(car: Path, capsys: pytest.CaptureFixture) -> None:
     assert main(["fit", str(car), "--skid", "coupled"]) == 2
     assert "A car has no structure `coupled`, option --skid" in capsys.readouterr().err

@@ -48,7 +48,7 @@ def plan(options: argparse.Namespace, case: Any) -> Outcome:
     from snakejax.present.as_text.plan import plan_text
 
     made = plan_case(case, explain_options(options, no_progress))
-    return Outcome(made._asdict(), plan_text(made), lambda folder: None)
+    return Outcome(made._asdict(), plan_text(made), name="plan")
 
 
 def work(options: argparse.Namespace, case: Any, say: Progress) -> Outcome:

@@ -88,11 +88,13 @@ class Stopwatch:
 
 
 class Outcome(NamedTuple):
-    """The result of a command for one case: JSON, text, and a function that writes the files of `--out`."""
+    """The result of a command for one case: JSON, text, a function that writes the files of `--out`, and the name of
+    the JSON there (default: that of the command)."""
 
     json: dict[str, Any]
     text: "RenderableType"
     write: Callable[[Path], None] = lambda folder: None
+    name: str = ""
 
 
 def show(text: "RenderableType") -> None:
@@ -261,11 +263,12 @@ def _deliver(
 
     if name in json_paths and (path := json_paths[name]) is not None:
         write_whole(path, as_text(outcome.json))
-    if options.out is not None:
-        folder = Path(options.out) / name if several else Path(options.out)
-        write_whole(folder / f"{options.command}.json", as_text(outcome.json))
-        outcome.write(folder)
+    # What was found is told before it is drawn: nothing is lost where a drawing fails.
     if name in json_paths and json_paths[name] is None:
         sys.stdout.write(as_text(outcome.json))
     elif not options.quiet:
         show(outcome.text)
+    if options.out is not None:
+        folder = Path(options.out) / name if several else Path(options.out)
+        write_whole(folder / f"{outcome.name or options.command}.json", as_text(outcome.json))
+        outcome.write(folder)
