@@ -7,7 +7,7 @@ import jax
 import numpy as np
 from helpers.folders import DATA
 
-from snakejax.cli import explain, main
+from snakejax.cli import explain, main, pipeline
 from snakejax.cli.pipeline import Outcome
 from snakejax.core.progress import Progress
 
@@ -19,7 +19,7 @@ def live_programs() -> int:
     return len(jax.devices()[0].client.live_executables())
 
 
-def test_explain_drops_the_programs_of_each_case(monkeypatch) -> None:
+def test_explain_drops_the_programs_of_cases_that_are_done(monkeypatch) -> None:
     doubled = jax.jit(lambda values: values + values)
     at_start: list[int] = []
 
@@ -31,6 +31,7 @@ def test_explain_drops_the_programs_of_each_case(monkeypatch) -> None:
         return Outcome({}, "")
 
     monkeypatch.setattr(explain, "work", work)
+    monkeypatch.setattr(pipeline, "CASES_KEPT", 1)
     assert main(["explain", *CASES, "--quiet"]) == 0
     assert len(at_start) == 3
     assert max(at_start[1:]) < PROGRAMS

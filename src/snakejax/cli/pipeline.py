@@ -87,6 +87,11 @@ class Stopwatch:
         return seconds_json(time.perf_counter() - self.start, _Compiling.total - self.compiled)
 
 
+CASES_KEPT = 3
+"""Compiled programs are kept in memory for so many cases: the next board of the same size then begins at once, and the
+memory of a batch stays what three boards need."""
+
+
 class Outcome(NamedTuple):
     """The result of a command for one case: JSON, text, a function that writes the files of `--out`, and the name of
     the JSON there (default: that of the command)."""
@@ -164,7 +169,7 @@ def each_case(
         for done, (name, case) in enumerate(cases.items()):
             label = f"{name} ({done + 1}/{len(cases)})" if len(cases) > 1 else name
             status = max(status, _status_of(deliver, name, case, functools.partial(say, case=done, label=label)))
-            if drop_programs and done + 1 < len(cases):
+            if drop_programs and done + 1 < len(cases) and (done + 1) % CASES_KEPT == 0:
                 _drop_programs()
     return status
 

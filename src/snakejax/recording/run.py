@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import equinox as eqx
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -55,6 +56,13 @@ class Run(eqx.Module):
     cut_from: str | None = eqx.field(static=True, default=None)
     group: str | None = eqx.field(static=True, default=None)
 
+    def __repr__(self) -> str:
+        """`Run lap-3: train, 120 frames in 6 s`."""
+        frames = counted(self.times.shape[-1], "frame")
+        if isinstance(self.times, jax.core.Tracer) or self.times.ndim != 1 or not self.times.size:
+            return f"Run {self.name}: {self.role}, {frames}"
+        return f"Run {self.name}: {self.role}, {frames} in {float(self.times[-1] - self.times[0]):.3g} s"
+
     @property
     def recorded_as(self) -> str:
         """The name of the recorded run: of a window that of the run it is cut from."""
@@ -71,6 +79,14 @@ class Noise(eqx.Module):
     heading: Scalar
     source: str = eqx.field(static=True)
     correlation: float | None = eqx.field(static=True, default=None)
+
+    def __repr__(self) -> str:
+        """`Noise: 0.3 mm, 1 mrad (stated)`."""
+        if isinstance(self.position, jax.core.Tracer) or isinstance(self.heading, jax.core.Tracer):
+            return f"Noise ({self.source})"
+        position, heading = 1e3 * float(self.position), 1e3 * float(self.heading)
+        wander = "" if self.correlation is None else f", wanders over {self.correlation:.3g} s"
+        return f"Noise: {position:.3g} mm, {heading:.3g} mrad ({self.source}){wander}"
 
     @property
     def channels(self) -> Float[Array, "3"]:

@@ -47,6 +47,10 @@ class Preset(eqx.Module):
     gait: Gait
     times: Float[Array, " n"]
 
+    def __repr__(self) -> str:
+        """`Preset paper-rotate: 14 s`."""
+        return f"Preset {self.name}: {self.duration:.3g} s"
+
     @property
     def duration(self) -> float:
         """The duration [s]."""
