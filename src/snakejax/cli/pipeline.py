@@ -143,7 +143,7 @@ def each_case(
     """Do `work` on each CASE, deliver its result, and return the exit status: 2 for wrong input, 1 for failed numerics.
 
     A CASE that fails gives one line on standard error; the others are computed all the same. `drop_programs` removes
-    the compiled programs of a CASE from memory before the next one starts.
+    the compiled programs from memory after every `CASES_KEPT` of them.
     """
     start_jax()
     cases, status = _readable(options, presets, to_train)
