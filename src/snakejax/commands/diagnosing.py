@@ -11,6 +11,7 @@ from snakejax.diagnosis.diagnosing import diagnose as diagnosed
 from snakejax.diagnosis.explaining import explain as explained
 from snakejax.diagnosis.explanation import Explanation
 from snakejax.diagnosis.plan import Plan, plan_of
+from snakejax.diagnosis.windows import explaining as windows
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.dynamics.kinds import TYRE_LAWS
 from snakejax.dynamics.model import Model
@@ -61,6 +62,8 @@ def diagnose(case: Case | Path | str, **options: Unpack[ExplainOptions]) -> Diag
 def diagnose_case(case: Case, options: ExplainOptions) -> Diagnosis:
     """The diagnosis of an inspected `case`. **Raises:** as `fit`."""
     asked = question(case, options)
+    if windows.supports(case):
+        return windows.diagnose_windows(case, asked.noise, asked.library, **asked.options)
     progress = asked.options.get("progress", no_progress)
     logged = with_estimated_logs(asked.start, case, asked.noise, progress)
     return diagnosed(logged, asked.noise, asked.library, **asked.options)

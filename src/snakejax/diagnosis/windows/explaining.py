@@ -1,7 +1,7 @@
 """Explaining recordings of which many short windows are given: a real vehicle that nobody set down at rest."""
 
 from collections.abc import Mapping
-from typing import Unpack
+from typing import NamedTuple, Unpack
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from snakejax.estimation.problem import Problem
 from snakejax.estimation.window_fit import WindowPoint, scale_of
 from snakejax.recording.run import Case, Noise
 
-from ..diagnosing import DiagnosisOptions, start_of
+from ..diagnosing import Diagnosis, DiagnosisOptions, start_of
 from ..explanation import Explanation, PoseError, Remainder, TriedCandidate
 from ..inexact.candidate_model import candidate_model, movable_parameters
 from ..inexact.confidence import AMBIGUOUS, LIKELY, SURE
@@ -47,6 +47,51 @@ def supports(case: Case) -> bool:
     return len(train) > 2 * FEWEST_RECORDINGS and all(is_short(run) for run in train)
 
 
+class WindowQuestion(NamedTuple):
+    """The candidates and the search under each structure, the base's first, and the effects that it holds."""
+
+    sets: tuple[CandidateSet, ...]
+    searches: tuple[WindowSearch, ...]
+    with_: tuple[str, ...]
+
+    def first(self, number: int) -> Found:
+        """The model of structure `number` without effects, fitted."""
+        problem = self.searches[number].problem
+        return first_state(self.searches[number], WindowPoint(problem.values(), np.asarray(problem.batch.start)))
+
+    def step(self, number: int, state: Found) -> SelectionStep:
+        """The record of `state` under structure `number`."""
+        switch = LATERAL_SLIP_SWITCH if number and not state.effects else ""
+        return step_of(self.searches[number], self.sets[number], state, switch, self.with_)
+
+
+def _asked(
+    case: Case, noise: Noise, library: Mapping[str, Effect], question: DiagnosisOptions, most: int
+) -> WindowQuestion:
+    """The question under at most so many structures."""
+    criteria = question.get("criteria") or SelectionCriteria.of(case)
+    progress = question.get("progress", no_progress)
+    with_ = tuple(question.get("with_", ()))
+    how = BaseFit(frozenset(question.get("held", ())))
+    options = structures(case, "", None, start_of(case, question))[: most if question.get("switch", True) else 1]
+    sets = tuple(
+        CandidateSet.of(model, case, noise, library, switched=k > 0, criteria=criteria, how=how)
+        for k, model in enumerate(options)
+    )
+    return WindowQuestion(sets, tuple(window_search(case, noise, one, with_, progress) for one in sets), with_)
+
+
+def diagnose_windows(
+    case: Case, noise: Noise, library: Mapping[str, Effect], **question: Unpack[DiagnosisOptions]
+) -> Diagnosis:
+    """The base fitted to the windows of `case`, with the candidates ranked by what recordings left out gain.
+
+    **Raises:** `FitError` where the simulation of every window fails.
+    """
+    asked = _asked(case, noise, library, question, 1)
+    return Diagnosis(case, noise, asked.step(0, asked.first(0)))
+
+
 def explain_windows(
     case: Case, noise: Noise, library: Mapping[str, Effect], **question: Unpack[DiagnosisOptions]
 ) -> Explanation:
@@ -54,29 +99,17 @@ def explain_windows(
 
     **Raises:** `FitError` where the simulation of every window fails.
     """
-    criteria = question.get("criteria") or SelectionCriteria.of(case)
-    progress = question.get("progress", no_progress)
-    with_ = tuple(question.get("with_", ()))
-    how = BaseFit(frozenset(question.get("held", ())))
-    options = structures(case, "", None, start_of(case, question))[: 2 if question.get("switch", True) else 1]
-    sets = [
-        CandidateSet.of(model, case, noise, library, switched=k > 0, criteria=criteria, how=how)
-        for k, model in enumerate(options)
-    ]
-    searches = [window_search(case, noise, one, with_, progress) for one in sets]
-    base = first_state(searches[0], _beginning(searches[0]))
+    asked = _asked(case, noise, library, question, 2)
+    base = asked.first(0)
     path = [(0, base)]
-    if len(sets) > 1:
-        relaxed = first_state(searches[1], _beginning(searches[1]))
+    if len(asked.sets) > 1:
+        relaxed = asked.first(1)
         if left_out_gain(base.linear, relaxed.linear).predicts:
             path.append((1, relaxed))
     number, last = path[-1]
-    path += [(number, state) for state in further_states(searches[number], last)]
-    steps = [
-        step_of(searches[k], sets[k], state, LATERAL_SLIP_SWITCH if k and not state.effects else "", with_)
-        for k, state in path
-    ]
-    return _explanation(case, noise, steps, [(searches[k], state) for k, state in path])
+    path += [(number, state) for state in further_states(asked.searches[number], last)]
+    steps = [asked.step(k, state) for k, state in path]
+    return _explanation(case, noise, steps, [(asked.searches[k], state) for k, state in path])
 
 
 def window_search(
@@ -105,10 +138,6 @@ def recordings_of(names: list[str]) -> np.ndarray:
         own = np.flatnonzero(number == k)
         part[own] = np.arange(len(own)) * PARTS // len(own)
     return np.unique(number * PARTS + part, return_inverse=True)[1]
-
-
-def _beginning(search: WindowSearch) -> WindowPoint:
-    return WindowPoint(search.problem.values(), np.asarray(search.problem.batch.start))
 
 
 def _explanation(
