@@ -1,5 +1,6 @@
 """Explaining recordings of which many short windows are given: a real vehicle that nobody set down at rest."""
 
+import dataclasses
 from collections.abc import Mapping
 from typing import NamedTuple, Unpack
 
@@ -19,9 +20,10 @@ from ..diagnosing import Diagnosis, DiagnosisOptions, start_of
 from ..explanation import Explanation, PoseError, Remainder, TriedCandidate
 from ..inexact.candidate_model import candidate_model, movable_parameters
 from ..inexact.confidence import AMBIGUOUS, LIKELY, SURE
+from ..inexact.left_out import Gain
 from ..selection.candidates import BaseFit, CandidateSet, structures
 from ..selection.criteria import SelectionCriteria
-from ..selection.steps import SelectionStep
+from ..selection.steps import SWITCH_DESCRIPTION, CandidateScore, SelectionStep
 from .own_motion import own_floor
 from .search import Candidate, Found, WindowSearch, first_state, further_states, left_out_gain, twins
 from .steps import step_of
@@ -65,15 +67,28 @@ class WindowQuestion(NamedTuple):
         return step_of(self.searches[number], self.sets[number], state, switch, self.with_)
 
 
-def _asked(
-    case: Case, noise: Noise, library: Mapping[str, Effect], question: DiagnosisOptions, most: int
-) -> WindowQuestion:
-    """The question under at most so many structures."""
+def _beside_structure(base: SelectionStep, relaxed: SelectionStep, gain: Gain) -> SelectionStep:
+    """The `base` with the other structure among its candidates: first where recordings left out gain by it, else last.
+
+    Its fit is the step `relaxed`.
+    """
+    other = CandidateScore(
+        effect=LATERAL_SLIP_SWITCH,
+        description=SWITCH_DESCRIPTION,
+        refit_misfit=relaxed.train.misfit,
+        converged=relaxed.converged,
+    )
+    ranking = (other, *base.ranking) if gain.predicts else (*base.ranking, other)
+    return dataclasses.replace(base, ranking=ranking)
+
+
+def _asked(case: Case, noise: Noise, library: Mapping[str, Effect], question: DiagnosisOptions) -> WindowQuestion:
+    """The question with all that it needs."""
     criteria = question.get("criteria") or SelectionCriteria.of(case)
     progress = question.get("progress", no_progress)
     with_ = tuple(question.get("with_", ()))
     how = BaseFit(frozenset(question.get("held", ())))
-    options = structures(case, "", None, start_of(case, question))[: most if question.get("switch", True) else 1]
+    options = structures(case, "", None, start_of(case, question))[: 2 if question.get("switch", True) else 1]
     sets = tuple(
         CandidateSet.of(model, case, noise, library, switched=k > 0, criteria=criteria, how=how)
         for k, model in enumerate(options)
@@ -88,8 +103,13 @@ def diagnose_windows(
 
     **Raises:** `FitError` where the simulation of every window fails.
     """
-    asked = _asked(case, noise, library, question, 1)
-    return Diagnosis(case, noise, asked.step(0, asked.first(0)))
+    asked = _asked(case, noise, library, question)
+    base = asked.first(0)
+    step = asked.step(0, base)
+    if len(asked.sets) > 1:
+        relaxed = asked.first(1)
+        step = _beside_structure(step, asked.step(1, relaxed), left_out_gain(base.linear, relaxed.linear))
+    return Diagnosis(case, noise, step)
 
 
 def explain_windows(
@@ -99,16 +119,19 @@ def explain_windows(
 
     **Raises:** `FitError` where the simulation of every window fails.
     """
-    asked = _asked(case, noise, library, question, 2)
+    asked = _asked(case, noise, library, question)
     base = asked.first(0)
-    path = [(0, base)]
+    path, gain = [(0, base)], None
     if len(asked.sets) > 1:
         relaxed = asked.first(1)
-        if left_out_gain(base.linear, relaxed.linear).predicts:
+        gain = left_out_gain(base.linear, relaxed.linear)
+        if gain.predicts:
             path.append((1, relaxed))
     number, last = path[-1]
     path += [(number, state) for state in further_states(asked.searches[number], last)]
     steps = [asked.step(k, state) for k, state in path]
+    if gain is not None and gain.predicts:
+        steps[0] = _beside_structure(steps[0], steps[1], gain)
     return _explanation(case, noise, steps, [(asked.searches[k], state) for k, state in path])
 
 
