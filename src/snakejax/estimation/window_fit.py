@@ -44,8 +44,6 @@ UNSEEN = 1e-9
 """A combination of scaled start components below this singular value has no influence."""
 LARGEST = 1e8
 """A window further off than this [noise variances] is as far off: its simulation failed, or left the room."""
-
-
 NO_SECANTS: Mapping[str, float] = MappingProxyType({})
 """No parameter without a derivative."""
 
@@ -70,12 +68,11 @@ class WindowPrior(NamedTuple):
 
 
 class WindowPoint(NamedTuple):
-    """Where a fit of windows stands: parameter `values` by name, start states `start` (R, S) of all runs, and the
-    `cost` of the windows fitted there, in variances `phi` of a window's sample."""
+    """Where a fit of windows stands: parameter `values` by name, start states `start` (R, S) of all runs, and whether
+    it has converged."""
 
     values: dict[str, float]
     start: np.ndarray
-    cost: float = np.inf
     converged: bool = False
 
 
@@ -192,7 +189,6 @@ def fit_windows_robustly(
     prior: WindowPrior,
     *,
     until: float = np.inf,
-    most: int = MOST,
     secants: Mapping[str, float] = NO_SECANTS,
 ) -> WindowPoint:
     """The `free` parameters and the start states of the `windows` fitted from `point`, by damped Gauss-Newton steps.
@@ -203,7 +199,7 @@ def fit_windows_robustly(
     domains = prior.domains(problem, free)
     now = linearised_windows(problem, point, free, windows, until, secants)
     damping, rejected, converged = FIRST_DAMPING, 0, False
-    for _ in range(most):
+    for _ in range(MOST):
         scale, phi = scale_of(now.mean_square), variance_of(now)
         step, moves = _step(now, point, domains, prior, scale, phi, damping)
         start = point.start.copy()
@@ -224,8 +220,7 @@ def fit_windows_robustly(
         if before - after < LITTLE * before:
             converged = True
             break
-    cost = _cost(now, point, domains, prior, scale_of(now.mean_square), variance_of(now))
-    return point._replace(cost=cost / variance_of(now), converged=converged)
+    return point._replace(converged=converged)
 
 
 def _inside(domain, value: float) -> float:

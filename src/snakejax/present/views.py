@@ -35,12 +35,12 @@ class ModelView(NamedTuple):
 
 def view_of_fit(fit: Fit) -> ModelView:
     """The model of a fit."""
-    fitted = fit.fitted
-    replays = replay_runs(drawn(fitted))
+    fitted = drawn(fit.fitted)
+    replays = replay_runs(fitted)
     effects = list(fit.model.effects)
     label = f"model with {' and '.join(effects)}" if effects else "model"
     label += doubt(fit.converged)
-    return ModelView("0", label, step_style(0), replays, tyre_forces(drawn(fitted), replays))
+    return ModelView("0", label, step_style(0), replays, tyre_forces(fitted, replays))
 
 
 def view_of_model(model: Model, runs: Sequence[Run], starts: Float[np.ndarray, "R S"]) -> ModelView:
@@ -50,9 +50,10 @@ def view_of_model(model: Model, runs: Sequence[Run], starts: Float[np.ndarray, "
 
 def view_of_step(step: SelectionStep, number: int = 0) -> ModelView:
     """The model of one step of the loop."""
-    replays = replay_runs(drawn(step.fitted))
+    fitted = drawn(step.fitted)
+    replays = replay_runs(fitted)
     label = step_label(step.effects) + doubt(step.converged)
-    return ModelView(str(number), label, step_style(number), replays, tyre_forces(drawn(step.fitted), replays))
+    return ModelView(str(number), label, step_style(number), replays, tyre_forces(fitted, replays))
 
 
 def drawn(fitted: FittedModel) -> FittedModel:

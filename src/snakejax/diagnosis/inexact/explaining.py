@@ -95,7 +95,11 @@ def shares_of(steps: Sequence[SelectionStep]) -> tuple[dict[str, float], float]:
 
     The error is that of held-out runs, or of train runs where none is held out.
     """
-    errors = [(step.heldout or step.train).misfit for step in steps]
+    return shares_of_errors(steps, [(step.heldout or step.train).misfit for step in steps])
+
+
+def shares_of_errors(steps: Sequence[SelectionStep], errors: Sequence[float]) -> tuple[dict[str, float], float]:
+    """The shares of `errors`, one of each step."""
     share: dict[str, float] = {}
     for step, before, after in zip(steps[1:], errors[:-1], errors[1:], strict=True):
         share[step.name] = share.get(step.name, 0.0) + (before - after) / errors[0]

@@ -9,6 +9,7 @@ import numpy as np
 from snakejax.core.progress import Progress, no_progress
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.dynamics.ports import Effect
+from snakejax.estimation.discrepancy.segments import BODY
 from snakejax.estimation.discrepancy.strength import Scales, window_force
 from snakejax.estimation.goodness_of_fit import noise_band
 from snakejax.estimation.initialisation import is_short
@@ -20,6 +21,7 @@ from ..diagnosing import Diagnosis, DiagnosisOptions, start_of
 from ..explanation import Explanation, PoseError, Remainder, TriedCandidate
 from ..inexact.candidate_model import candidate_model, movable_parameters
 from ..inexact.confidence import AMBIGUOUS, LIKELY, SURE
+from ..inexact.explaining import shares_of_errors
 from ..inexact.left_out import Gain
 from ..selection.candidates import BaseFit, CandidateSet, structures
 from ..selection.criteria import SelectionCriteria
@@ -34,8 +36,6 @@ FEWEST_RECORDINGS = 4
 """With fewer recordings each is divided into parts of consecutive windows that are left out one by one."""
 PARTS = 3
 """The number of those parts of each."""
-START = 6
-"""The numbers of a start state."""
 MOST_RECORDINGS = 24
 """More recordings than these are left out in as many groups of consecutive ones."""
 LARGEST_RATIO = 2.0
@@ -226,8 +226,7 @@ def _shares(path: list[tuple[WindowSearch, Found]], steps: list[SelectionStep]) 
     """
     scale = scale_of(path[0][1].linear.mean_square)
     errors = [float(state.linear.error(state.effects, scale).sum()) for _, state in path]
-    share = {step.name: (a - b) / errors[0] for step, a, b in zip(steps[1:], errors[:-1], errors[1:], strict=True)}
-    return share, (errors[0] - errors[-1]) / errors[0]
+    return shares_of_errors(steps, errors)
 
 
 def _remainder(final: SelectionStep, floor: PoseError | None) -> Remainder | None:
@@ -255,7 +254,7 @@ def _only_noise(final: SelectionStep, parameters: int) -> bool:
     if final.heldout is not None:
         known.append((final.heldout, 0, "heldout"))
     for score, estimated, role in known:
-        starts = START * sum(run.role == role for run in final.runs)
+        starts = BODY * sum(run.role == role for run in final.runs)
         if not score.misfit <= noise_band(score.samples, estimated + starts)[1]:
             return False
     return True
@@ -288,7 +287,7 @@ def _why(one: Candidate, taken: bool, later: bool, criteria: SelectionCriteria) 
         return "taken in a later step"
     if one.at_bound:
         return "refused: it ends on a bound of its domain"
-    if not (one.gain.predicts and one.gain.by_run.sum() > 0):
+    if not one.gain.predicts:
         return "refused: recordings left out are not predicted better by more than the standard error"
     if one.gain.share < criteria.least_excess_share:
         return f"refused: too little to matter, {gained}"

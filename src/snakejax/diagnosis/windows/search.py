@@ -14,7 +14,8 @@ from scipy import stats
 
 from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
 from snakejax.dynamics.ports import Delay
-from snakejax.estimation.discrepancy.least_squares import Prior
+from snakejax.estimation.discrepancy.least_squares import Optimum, Prior
+from snakejax.estimation.initialisation import EARLY
 from snakejax.estimation.problem import Problem
 from snakejax.estimation.window_fit import (
     WindowPoint,
@@ -28,6 +29,7 @@ from snakejax.estimation.window_fit import (
 
 from ..inexact.candidate_model import CandidateModel
 from ..inexact.left_out import Gain
+from ..inexact.search import FURTHEST_FACTOR
 from ..inexact.subsets import Subsets
 from ..selection.criteria import CRITERIA, SelectionCriteria
 
@@ -35,25 +37,22 @@ KNOWN_WITHIN = 2.0
 """A constant of the vehicle is at most this many standard deviations from its stated value: 95% of what is known."""
 DELAY_STEP = 0.02
 """Step [s] of the difference quotient by a delay: commands are held for some 0.1 s."""
-FURTHEST_FACTOR = 2.0
-"""A linear problem holds for positive parameters within this factor of where it was linearised."""
 MOST_EFFECTS = 8
 """Effects that are added, at most."""
 MOST_REFITTED = 3
 """Candidates that are refitted in one round, at most."""
-FIRST_SECONDS = 0.5
-"""The part [s] of each window that is fitted first: over so little time no fit ends in a false optimum."""
 
 
 class Candidate(NamedTuple):
     """One effect beside a model: its `gain` on recordings left out, as a share of their error without it; `p_value` of
-    its parameters `values` being at their neutral value, by the jackknife over recordings; `at_bound`: one of them ends
-    on a bound of its domain."""
+    its parameters `values` being at their neutral value, by the jackknife over recordings; `sd` of their steps;
+    `at_bound`: one of them ends on a bound of its domain."""
 
     effect: str
     gain: Gain
     p_value: float
     values: tuple[float, ...]
+    sd: np.ndarray
     at_bound: bool
 
     def predicts(self, criteria: SelectionCriteria) -> bool:
@@ -86,14 +85,13 @@ class WindowProblem(NamedTuple):
             found.append(np.log1p(square / scale).sum())
         return np.array(found)
 
-    def jackknife(self, effects: Iterable[str], columns: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-        """The steps (k,) of the parameters numbered `columns` with `effects`, and their covariance (k, k) by the
-        jackknife over the recordings (Efron and Stein 1981)."""
+    def jackknife(self, effects: Iterable[str], columns: Sequence[int]) -> tuple[Optimum, np.ndarray]:
+        """The optimum with `effects`, and the covariance (k, k) of its steps of the parameters numbered `columns` by
+        the jackknife over the recordings (Efron and Stein 1981)."""
         effects, rows = list(effects), list(columns)
-        step = self.subsets.with_effects(effects).step[rows]
         others = np.array([self.subsets.with_effects(effects, self.subsets.gram - g).step[rows] for g in self.gram])
         off, F = others - others.mean(axis=0), len(self.gram)
-        return step, (F - 1) / F * off.T @ off
+        return self.subsets.with_effects(effects), (F - 1) / F * off.T @ off
 
 
 class WindowSearch(NamedTuple):
@@ -131,7 +129,7 @@ class WindowSearch(NamedTuple):
                     steps[name] = secant
         return steps
 
-    def fitted(self, point: WindowPoint, effects: Iterable[str], **how: float) -> WindowPoint:
+    def fitted(self, point: WindowPoint, effects: Iterable[str], until: float = np.inf) -> WindowPoint:
         """The model with `effects` fitted from `point`; absent effects are neutral."""
         model, effects = self.model, tuple(effects)
         values = dict(point.values)
@@ -141,7 +139,7 @@ class WindowSearch(NamedTuple):
         point = point._replace(values=values)
         free = [model.names[k] for k in model.free(effects)]
         return fit_windows_robustly(
-            self.problem, point, free, self.windows, self.prior, secants=self.secants(point), **how
+            self.problem, point, free, self.windows, self.prior, until=until, secants=self.secants(point)
         )
 
     def linear(self, point: WindowPoint, effects: Iterable[str]) -> WindowProblem:
@@ -179,9 +177,11 @@ class WindowSearch(NamedTuple):
         """`effect` beside the other effects of `linear`, whether it is in the model or not."""
         rest = [other for other in linear.effects if other != effect]
         columns = list(self.model.candidates[effect])
-        by_run = linear.error(rest) - linear.error([*rest, effect])
-        share = float(by_run.sum() / linear.error(rest).sum())
-        step, covariance = linear.jackknife([*rest, effect], columns)
+        without = linear.error(rest)
+        by_run = without - linear.error([*rest, effect])
+        gain = Gain(by_run, float(by_run.sum() / without.sum()))
+        optimum, covariance = linear.jackknife([*rest, effect], columns)
+        step = optimum.step[columns]
         moved = self._moved(linear.point, columns, step)
         domains = list(self.prior.domains(self.problem, [self.model.names[k] for k in columns]).values())
         at_bound = any(
@@ -190,7 +190,8 @@ class WindowSearch(NamedTuple):
         )
         # The step from the neutral value, for which the prior has its mean.
         away = step - linear.subsets.prior.mean[columns]
-        return Candidate(effect, Gain(by_run, share), _p_value(away, covariance, len(linear.gram)), moved, at_bound)
+        p_value = _p_value(away, covariance, len(linear.gram))
+        return Candidate(effect, gain, p_value, moved, larger_sd(optimum, covariance, columns), at_bound)
 
     def _moved(self, point: WindowPoint, columns: Sequence[int], step: np.ndarray) -> tuple[float, ...]:
         names = [self.model.names[k] for k in columns]
@@ -199,6 +200,12 @@ class WindowSearch(NamedTuple):
             float(np.clip(d.moved(point.values[name], s), d.low, d.high))
             for (name, d), s in zip(domains.items(), step, strict=True)
         )
+
+
+def larger_sd(optimum: Optimum, covariance: np.ndarray, columns: Sequence[int]) -> np.ndarray:
+    """Standard deviation (k,) of the steps of the parameters numbered `columns`: the larger one of that of windows that
+    count as one pose each and that of the jackknife, of this `covariance` (k, k)."""
+    return np.maximum(optimum.sd[list(columns)], np.sqrt(np.maximum(np.diag(covariance), 0.0)))
 
 
 def _step_to(domain, value: float, end: float) -> float:
@@ -233,7 +240,7 @@ class Found(NamedTuple):
 def first_state(search: WindowSearch, point: WindowPoint) -> Found:
     """The model without effects, fitted from `point`: first the beginnings of the windows, then all of them."""
     search.progress(ProgressEvent(Phase.FIRST_SECONDS))
-    point = search.fitted(point, (), until=FIRST_SECONDS)
+    point = search.fitted(point, (), until=EARLY)
     search.progress(ProgressEvent(Phase.WINDOWS))
     return _state(search, search.fitted(point, ()), ())
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import numpy as np
 from scipy import stats
 
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
@@ -13,7 +12,7 @@ from snakejax.estimation.uncertainty import UNDETERMINED_SD, Estimate
 from ..selection.candidates import CandidateSet
 from ..selection.steps import CandidateScore, SelectionStep
 from ..selection.working_step import judged_runs
-from .search import Candidate, Found, WindowSearch, twins
+from .search import Candidate, Found, WindowSearch, larger_sd, twins
 
 
 def step_of(
@@ -58,13 +57,12 @@ def estimates_of_state(search: WindowSearch, state: Found) -> dict[str, Estimate
     """
     linear, model = state.linear, search.model
     free = model.free(state.effects)
-    optimum = linear.subsets.with_effects(state.effects)
-    _, covariance = linear.jackknife(state.effects, free)
-    jackknife = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    optimum, covariance = linear.jackknife(state.effects, free)
+    sds = larger_sd(optimum, covariance, free)
     domains = search.prior.domains(search.problem, [model.names[k] for k in free])
     found = {}
-    for k, (name, domain), over_recordings in zip(free, domains.items(), jackknife, strict=True):
-        value, step = linear.point.values[name], max(float(optimum.sd[k]), float(over_recordings))
+    for k, (name, domain), step in zip(free, domains.items(), map(float, sds), strict=True):
+        value = linear.point.values[name]
         shaped = domain.multiplicative or domain.typical is not None
         held = k not in optimum.free
         sd = None if held else step * (abs(value) if domain.multiplicative else 1.0)
@@ -83,14 +81,10 @@ def _ranking(search: WindowSearch, state: Found, misfit: float) -> tuple[Candida
     for one in state.candidates:
         columns = model.candidates[one.effect]
         names = [model.names[k] for k in columns]
-        _, covariance = state.linear.jackknife([*state.effects, one.effect], columns)
         optimum = state.linear.subsets.with_effects([*state.effects, one.effect])
         domains = search.prior.domains(search.problem, names)
         expected = {}
-        for k, (name, domain), value, variance in zip(
-            columns, domains.items(), one.values, np.diag(covariance), strict=True
-        ):
-            sd = max(float(optimum.sd[k]), float(np.sqrt(max(variance, 0.0))))
+        for (name, domain), value, sd in zip(domains.items(), one.values, map(float, one.sd), strict=True):
             expected[name.rsplit(".", 1)[-1]] = Estimate(value, sd, domain.unit, not one.at_bound)
         rows.append(
             CandidateScore(
