@@ -6,12 +6,14 @@ The boards are made up (`boards.py`, 6 s runs, three to train on): without an ef
 detectable size, with one strong effect, with two effects, and with a force that no library holds; under both
 structures each. What is told is the verdict, the effects and, where it is unexplained, the variable named first. The
 table has, for each criterion, the boards of which something else is told than with the criteria as they are, and
-whether it became right or wrong. A board whose explanation never reads a criterion is told the same whatever its
-value, and is not explained again. Results are kept: run the command again to compute the rest, or to print the table.
+whether it became right or wrong. A board is explained again with another value only where some comparison of its
+explanation would end otherwise by it, or where the value entered a computation: else it is told the same (`Threshold`).
+Results are kept: run the command again to compute the rest, or to print the table.
 """
 
+import operator
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,11 +22,12 @@ from snakejax import prepare_jax
 prepare_jax()
 
 import boards  # noqa: E402
+import numpy as np  # noqa: E402
 from accuracy import CANDIDATES, SIZES, Results, recorded, with_effect  # noqa: E402
 
 from snakejax import Case  # noqa: E402
 from snakejax.diagnosis import explain  # noqa: E402
-from snakejax.diagnosis.selection.criteria import CRITERIA, SelectionCriteria  # noqa: E402
+from snakejax.diagnosis.selection.criteria import CRITERIA  # noqa: E402
 
 VARIED = (
     "significance_level",
@@ -49,17 +52,65 @@ VARIED = (
 FACTORS = (0.5, 2.0)
 
 
-class Watched(SelectionCriteria):
-    """Criteria that keep the names of those that are read, in `READ`."""
+class Threshold:
+    """A criterion with its other values: it notes in `DECISIVE` each by which a comparison would end otherwise.
 
-    def __getattribute__(self, name: str) -> Any:
-        if name in SelectionCriteria._fields:
-            READ.add(name)
-        return super().__getattribute__(name)
+    Sums, products and powers of it are computed for all values. Where one becomes a plain number, what follows is not
+    known, and all its other values count as decisive.
+    """
+
+    __array_ufunc__ = None
+    __hash__ = object.__hash__
+
+    def __init__(self, value: Any, others: Mapping[str, Any]):
+        self.value, self.others = value, others
+
+    def _with(self, operation: Callable[[Any, Any], Any], other: Any, swapped: bool = False) -> "Threshold":
+        keys = {*self.others, *(other.others if isinstance(other, Threshold) else ())}
+
+        def at(key: str | None) -> Any:
+            pair = [one.others.get(key, one.value) if isinstance(one, Threshold) else one for one in (self, other)]
+            return operation(*(reversed(pair) if swapped else pair))
+
+        return Threshold(at(None), {key: at(key) for key in keys})
+
+    def _compared(self, operation: Callable[[Any, Any], Any], other: Any) -> Any:
+        found = self._with(operation, other)
+        DECISIVE.update(key for key, value in found.others.items() if np.any(value != found.value))
+        return found.value
+
+    def _escaped(self) -> Any:
+        DECISIVE.update(self.others)
+        return self.value
+
+    def __float__(self) -> float:
+        return float(self._escaped())
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
+        return np.asarray(self._escaped(), dtype)
 
 
-READ: set[str] = set()
-"""The criteria that were read since it was last emptied."""
+def _arithmetic(operation: Callable[[Any, Any], Any], swapped: bool) -> Callable[[Threshold, Any], Threshold]:
+    return lambda self, other: self._with(operation, other, swapped)
+
+
+def _comparison(operation: Callable[[Any, Any], Any]) -> Callable[[Threshold, Any], Any]:
+    return lambda self, other: self._compared(operation, other)
+
+
+for _name in ("add", "sub", "mul", "truediv", "pow"):
+    setattr(Threshold, f"__{_name}__", _arithmetic(getattr(operator, _name), False))
+    setattr(Threshold, f"__r{_name}__", _arithmetic(getattr(operator, _name), True))
+for _name in ("lt", "le", "gt", "ge", "eq", "ne"):
+    setattr(Threshold, f"__{_name}__", _comparison(getattr(operator, _name)))
+
+DECISIVE: set[str] = set()
+"""Criterion and factor, as `key` writes them, that change a comparison since it was last emptied."""
+
+
+def key(name: str, factor: float) -> str:
+    """A criterion and a factor in one word."""
+    return f"{name} {factor:g}"
 
 
 class Truth(NamedTuple):
@@ -103,10 +154,16 @@ def changed(name: str, factor: float) -> float:
     return value * factor
 
 
+def threshold(name: str) -> Any:
+    """The criterion with its other values."""
+    return Threshold(getattr(CRITERIA, name), {key(name, factor): changed(name, factor) for factor in FACTORS})
+
+
 def told(truth: Truth, **criteria: float) -> dict[str, Any]:
     """What `explain` tells of a board, and whether it is right."""
-    READ.clear()
-    explanation = explain(truth.case, boards.NOISE, CANDIDATES, criteria=Watched(*CRITERIA._replace(**criteria)))
+    DECISIVE.clear()
+    watched = CRITERIA._replace(**({name: threshold(name) for name in VARIED} | criteria))
+    explanation = explain(truth.case, boards.NOISE, CANDIDATES, criteria=watched)
     missing = explanation.missing or explanation.law
     variable = missing.depends_on[0][0] if missing and missing.depends_on else None
     alike = {r.effect: r.confusable_with for r in explanation.final.ranking or explanation.base.ranking}
@@ -120,7 +177,7 @@ def told(truth: Truth, **criteria: float) -> dict[str, Any]:
         "effects": list(explanation.effects),
         "variable": variable,
         "right": right and variable == truth.variable,
-        "read": sorted(READ),
+        "decisive": sorted(DECISIVE),
     }
 
 
@@ -132,7 +189,7 @@ def table(results: Results) -> None:
     for name in VARIED:
         for factor in FACTORS:
             lines = [r for r in results.of("varied") if r["criterion"] == name and r["factor"] == factor]
-            lines += [line for line in usual.values() if name not in line["read"]]
+            lines += [line for line in usual.values() if key(name, factor) not in line["decisive"]]
             other = [r for r in lines if said(r) != said(usual[r["board"]])]
             wrong = sum(usual[r["board"]]["right"] and not r["right"] for r in lines)
             right = sum(r["right"] and not usual[r["board"]]["right"] for r in lines)
@@ -159,15 +216,15 @@ def main(path: str = "benchmarks/criteria.jsonl") -> None:
 
     for board in makers:
         results.once("usual", board, lambda board=board: explained(board))
-    read = {line["board"]: line["read"] for line in results.of("usual")}
+    decisive = {line["board"]: line["decisive"] for line in results.of("usual")}
     for name in VARIED:
         for factor in FACTORS:
             for board in makers:
-                if name not in read[board]:
+                if key(name, factor) not in decisive[board]:
                     continue
                 how = {"criterion": name, "factor": factor, name: changed(name, factor)}
                 work = lambda b=board, h=how, n=name: {**explained(b, **{n: h[n]}), **h}  # noqa: E731
-                results.once("varied", f"{name} {factor:g} {board}", work)
+                results.once("varied", f"{key(name, factor)} {board}", work)
     table(results)
 
 

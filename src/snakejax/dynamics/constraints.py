@@ -5,6 +5,7 @@ the equations follow from the declaration of the vehicle, see `multibody`.
 """
 
 import abc
+from collections.abc import Callable
 from typing import ClassVar
 
 import equinox as eqx
@@ -77,13 +78,13 @@ class AbstractConstraint(eqx.Module):
         pose: Float[np.ndarray, "n 3"],
         rate: Float[np.ndarray, "n 3"],
         board: AbstractVehicle,
-        gait: AbstractInputs,
+        inputs: Callable[[], AbstractInputs],
     ) -> Float[np.ndarray, "n 6"]:
         """First guess of the six numbers of `in_motion` at `times` [s], from measured pose [m, m, rad] and its rate.
 
-        By default (x, y, heading, u, w, r).
+        By default (x, y, heading, u, w, r), which need no `inputs`: these take time to make where commands lag.
         """
-        del times, board, gait
+        del times, board, inputs
         return body_velocities(pose, rate)
 
     @abc.abstractmethod

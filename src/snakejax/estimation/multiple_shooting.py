@@ -73,7 +73,7 @@ def initial_states(model: Model, run: Run) -> np.ndarray:
     """First guess of the state (n, 6) at every sample, for `initial_state`, from the smoothed recording alone."""
     times = np.asarray(run.times)
     pose, rate = local_cubics(times, np.asarray(run.pose), SMOOTHING)
-    return model.constraint.observed(times, pose, rate, model.board, model.commanded(run.gait))
+    return model.constraint.observed(times, pose, rate, model.board, lambda: model.commanded(run.gait))
 
 
 def linearise_windows(

@@ -1,5 +1,6 @@
 """Constraints of Salman et al., CDC 2016: slip as one further coordinate beta, and the equations as printed."""
 
+from collections.abc import Callable
 from typing import ClassVar
 
 import jax
@@ -78,9 +79,14 @@ class Coupled(AbstractConstraint):
         return Velocities(x, y, theta, theta + beta, u, no_slip.W * u, s, lateral, rolling)
 
     def observed(
-        self, times: np.ndarray, pose: np.ndarray, rate: np.ndarray, board: AbstractVehicle, gait: AbstractInputs
+        self,
+        times: np.ndarray,
+        pose: np.ndarray,
+        rate: np.ndarray,
+        board: AbstractVehicle,
+        inputs: Callable[[], AbstractInputs],
     ) -> np.ndarray:
-        return integrated_angle(times, pose, rate, board, gait)
+        return integrated_angle(times, pose, rate, board, inputs())
 
     def corrected(self, state: State, pose: State, rate: State) -> State:
         x, y, heading = pose
@@ -159,9 +165,14 @@ class Printed(AbstractConstraint):
         return Velocities(x, y, theta, theta + beta, u, w, theta_rate + beta_rate, lateral, rolling)
 
     def observed(
-        self, times: np.ndarray, pose: np.ndarray, rate: np.ndarray, board: AbstractVehicle, gait: AbstractInputs
+        self,
+        times: np.ndarray,
+        pose: np.ndarray,
+        rate: np.ndarray,
+        board: AbstractVehicle,
+        inputs: Callable[[], AbstractInputs],
     ) -> np.ndarray:
-        return integrated_angle(times, pose, rate, board, gait)
+        return integrated_angle(times, pose, rate, board, inputs())
 
     def corrected(self, state: State, pose: State, rate: State) -> State:
         beta, beta_rate = state[3], state[7]
