@@ -11,6 +11,7 @@ from snakejax.core.errors import InputError, instead_of
 from snakejax.core.jax_config import prepare_jax
 from snakejax.dynamics.model import Model
 from snakejax.recording.case import load_case
+from snakejax.recording.quality import in_brief
 from snakejax.recording.quality import inspect as inspected
 from snakejax.recording.run import Case
 from snakejax.vehicles.snakeboard.paper_examples import PRESETS, Preset, preset
@@ -32,10 +33,9 @@ def sound_case(case: Case | Path | str, as_recorded: bool = False) -> Case:
         remedy = "give a Case or its folder; snakejax.estimation, .diagnosis and .design work on models"
         raise InputError(f"A case is needed, but this is a {kind}", "argument case", remedy)
     inspection = inspected(case, as_recorded)
-    done = {"mask": "masked", "turn": "turned back"}
-    for f in inspection.findings:
+    for f in in_brief(inspection.findings):
         run = f"run {f.run}: " if f.run is not None else ""
-        warnings.warn(f"{case.name}: {run}{f.what}: {done[f.action] if f.applied else f.remedy}", stacklevel=4)
+        warnings.warn(f"{case.name}: {run}{f.what}: {f.done}", stacklevel=4)
     return inspection.require_sound().case
 
 

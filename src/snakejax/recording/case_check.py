@@ -12,7 +12,7 @@ from snakejax.dynamics.inputs import Gait
 from snakejax.dynamics.signals import AbstractSignal, Tracked
 
 from .case import load_case
-from .quality import CONVENTIONS, Finding, Inspection, angles, clocks, estimate_noise, inspect
+from .quality import CONVENTIONS, Finding, Inspection, angles, clocks, estimate_noise, in_brief, inspect
 from .run import Case, Run
 
 Severity = Literal["note", "doubtful"]
@@ -63,14 +63,15 @@ def check(
     issues = [*_whole(case), *_noise(inspected.case), *(_unused(case, Path(folder)) if folder is not None else ())]
     issues += [_issue(f) for f in inspected.findings if f.run is None]
     turned = {f.run for f in inspected.findings if f.kind in (*CONVENTIONS, "frequency_unit")}
-    for run, mended in zip(case.runs, inspected.case.runs, strict=True):
+    mended = {run.name: run for run in inspected.case.runs}
+    of_runs = []
+    for run in case.runs:
         of_run = [f for f in inspected.findings if f.run == run.name]
         # Clocks show only where axes, signs and frequencies are right.
         if not (any(f.severity == "refused" for f in of_run) or run.log is not None or turned & {None, run.name}):
-            of_run += clocks(mended)
-        issues += [_issue(f._replace(run=run.name)) for f in of_run]
-        issues += _steering(run)
-    return issues
+            of_run += clocks(mended.get(run.name, run))
+        of_runs += [f._replace(run=run.name) for f in of_run]
+    return [*issues, *map(_issue, in_brief(of_runs)), *(issue for run in case.runs for issue in _steering(run))]
 
 
 def _issue(f: Finding) -> Issue:

@@ -5,6 +5,9 @@ from collections.abc import Sequence
 from snakejax.recording.case_check import Issue, _readings, _which, run_summary
 from snakejax.recording.run import Case
 
+MOST_RUNS = 30
+"""The runs listed on a terminal; the JSON has all."""
+
 
 def check_text(case: Case, issues: Sequence[Issue]) -> str:
     """The runs of `case` and its `issues` as text."""
@@ -15,8 +18,9 @@ def check_text(case: Case, issues: Sequence[Issue]) -> str:
     lines += [f"{'run':{width}}  {'role':7}  {'duration':>9}  {'rate':>9}  {'samples':>7}  {'lost':>5}"]
     lines += [
         f"{s.run:{width}}  {s.role:7}  {s.duration:7.2f} s  {s.rate:6.1f} Hz  {s.samples:7d}  {s.lost:5d}"
-        for s in summaries
+        for s in summaries[:MOST_RUNS]
     ]
+    lines += [f"... and {len(summaries) - MOST_RUNS} more runs"] if len(summaries) > MOST_RUNS else []
     lines += [f"{note} ({_which(names, len(summaries))})" for note, names in _readings(case).items()]
     lines += ["", "issues:" if issues else "no issues"]
     for issue in issues:

@@ -11,6 +11,7 @@ from .clock_lag import with_log_clock as with_log_clock
 from .conventions import CONVENTIONS as CONVENTIONS
 from .finding import Finding as Finding
 from .finding import PoseSeries as PoseSeries
+from .finding import in_brief as in_brief
 from .inspection import Inspection as Inspection
 from .inspection import inspect as inspect
 from .inspection import inspect_run as inspect_run

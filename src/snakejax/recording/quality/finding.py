@@ -1,5 +1,6 @@
 """A defect of a recording, as it was found: what, where, how large, and what is done about it."""
 
+from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -8,7 +9,9 @@ from jaxtyping import Bool, Float, Int
 from ..run import Run
 
 Severity = Literal["note", "doubtful", "refused"]
-Action = Literal["mask", "turn", "none"]
+ALIKE = 3
+"""More runs than these with a finding of one kind are told together."""
+Action = Literal["mask", "turn", "omit", "none"]
 
 
 class PoseSeries(NamedTuple):
@@ -46,8 +49,9 @@ class Finding(NamedTuple):
 
     It lies between `start` and `end` [s] and is `size` `unit` large (None: it has no size). `frames` are the numbers
     of the frames concerned. `action` is what may safely be done about them: "mask" them as lost, "turn" their heading
-    by a multiple of pi, or "none". Where none is, a `severity` "refused" means that nothing should be fitted before a
-    user has followed the `remedy`. `applied` says whether the action was taken; `run` is None for all runs together.
+    by a multiple of pi, "omit" the run, or "none". Where none is, a `severity` "refused" means that nothing should be
+    fitted before a user has followed the `remedy`. `applied` says whether the action was taken; `run` is None for all
+    runs together.
     """
 
     kind: str
@@ -62,6 +66,32 @@ class Finding(NamedTuple):
     severity: Severity = "doubtful"
     applied: bool = False
     run: str | None = None
+
+    @property
+    def done(self) -> str:
+        """What was done about it, or is to be done."""
+        done = {"mask": "masked", "turn": "turned back"}
+        return done.get(self.action, self.remedy) if self.applied else self.remedy
+
+
+def in_brief(findings: Sequence[Finding]) -> list[Finding]:
+    """The `findings` to tell: of those of one kind in more than `ALIKE` runs the first, with the number of the runs."""
+    alike: dict[tuple, list[Finding]] = {}
+    for f in findings:
+        alike.setdefault(_kind(f), []).append(f)
+    told = []
+    for f in findings:
+        group = alike[_kind(f)]
+        runs = len({one.run for one in group})
+        if runs <= ALIKE:
+            told.append(f)
+        elif f is group[0]:
+            told.append(f._replace(what=f"{f.what}; alike in {runs - 1} more runs"))
+    return told
+
+
+def _kind(f: Finding) -> tuple:
+    return f.kind, f.action, f.severity, f.applied
 
 
 def finding(kind: str, track: PoseSeries, frames: Int[np.ndarray, " k"], what: str, remedy: str, **more) -> Finding:

@@ -22,6 +22,7 @@ from .measures import measures
 from .outliers import jumps
 from .plausibility import area, shaking, start, units, up_axis
 from .timestamps import backward, stray
+from .windows import judged_together
 
 Corners = tuple[float, float, float, float]
 
@@ -105,15 +106,19 @@ def inspect_run(run: Run, corners: Corners | None = None) -> tuple[Run, list[Fin
 
 def inspect(case: Case, as_recorded: bool = False) -> Inspection:
     """What is found in the runs of `case`, and the case as it may be fitted; with `as_recorded`, untouched."""
-    runs, findings = [], []
+    runs: list[Run] = []
+    findings: list[Finding] = []
     for run in case.runs:
         repaired, of_run = inspect_run(run, case.area)
         runs.append(repaired)
         findings += of_run
+    findings = judged_together(case.runs, findings)
     if isinstance(case.board, Board) and not any(f.severity == "refused" for f in findings):
         # What one of them finds would mislead those after it.
         findings += frequencies(runs, case.board) or conventions(runs) or measures(runs, case.board)
     if as_recorded:
         return Inspection(case, tuple(f._replace(applied=False) for f in findings), True)
     touched = any(a is not b for a, b in zip(runs, case.runs, strict=True))
-    return Inspection(eqx.tree_at(lambda c: c.runs, case, tuple(runs)) if touched else case, tuple(findings))
+    omitted = {f.run for f in findings if f.action == "omit"}
+    kept = tuple(run for run in runs if run.name not in omitted)
+    return Inspection(eqx.tree_at(lambda c: c.runs, case, kept) if touched or omitted else case, tuple(findings))
