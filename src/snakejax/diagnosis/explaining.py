@@ -10,7 +10,6 @@ from snakejax.core.errors import FitError
 from snakejax.core.progress import Progress, no_progress
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.dynamics.ports import Effect
-from snakejax.estimation.discrepancy.priors import CONSTANTS
 from snakejax.estimation.fit_workspace import fit_workspace
 from snakejax.estimation.goodness_of_fit import consistent_with_noise
 from snakejax.estimation.joint_logs.clocks import STILL, free_clocks
@@ -314,8 +313,9 @@ def _confidence_where_exact(final: SelectionStep, effect: str) -> str:
     if any(row.effect == effect and row.confusable_with for row in final.ranking):
         return AMBIGUOUS
     port = final.model.effects.get(effect)
+    stated_sd = final.model.board.stated_sd
     for name, constant in ({} if port is None else port.equivalent_constant).items():
-        if abs(final.estimates_of(effect)[name].value) < STATED_WELL * CONSTANTS[constant]:
+        if abs(final.estimates_of(effect)[name].value) < STATED_WELL * stated_sd.get(constant, 0.0):
             return STAND_IN
     return SURE
 

@@ -34,7 +34,9 @@ class SkidSteer(AbstractVehicle):
 
     The inputs `left` and `right` are the speeds of the rims [m/s] divided by `wheel_radius`, so with a radius in m they
     are spin rates [rad/s]. Each wheel pulls against the slip of its contact, along and across by one law
-    (`combined_slip`). `effective_track` [m] belongs to the structure "ideal" alone, see `DifferentialDrive`.
+    (`combined_slip`). `effective_track` [m] belongs to the structure "ideal" alone, see `DifferentialDrive`. Of
+    `creep_speed`, below which a contact is viscous, the ground decides: on loose ground only its order of magnitude is
+    known, so that an explanation may move it by a factor of 20.
     """
 
     kind: ClassVar[str] = "skid_steer"
@@ -48,7 +50,13 @@ class SkidSteer(AbstractVehicle):
     structures: ClassVar[dict[str, type[AbstractConstraint]]] = {"free": Slipping, "ideal": DifferentialDrive}
     relaxed: ClassVar[dict[str, str]] = {"ideal": "free"}
     acts_under: ClassVar[dict[str, str]] = {"effective_track": "ideal"}
-    stated_sd: ClassVar[dict[str, float]] = {"mass": 0.1, "half_base": 0.02, "half_track": 0.02, "inertia": 0.2}
+    stated_sd: ClassVar[dict[str, float]] = {
+        "mass": 0.1,
+        "half_base": 0.02,
+        "half_track": 0.02,
+        "inertia": 0.2,
+        "creep_speed": 1.5,
+    }
 
     mass: Scalar = param("kg", positive=True)
     inertia: Scalar = param("kg m^2", positive=True)

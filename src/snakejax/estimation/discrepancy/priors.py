@@ -10,9 +10,6 @@ from snakejax.dynamics.model import Model
 
 from .strength import Scales
 
-CONSTANTS = {"mass": 0.03, "half_length": 0.005, "inertia": 0.07, "rotor_inertia": 0.07}
-"""Relative standard deviations of constants of a vehicle for which case.toml states none: a mass weighed without its
-battery, a length by a tape, an inertia by the pendulum or from a drawing."""
 SHAPE_SD = 0.7
 """Relative standard deviation of a positive tyre parameter without a typical value (a factor of 2)."""
 SIZE_SD = 1.0
@@ -31,9 +28,9 @@ def with_own_inertia(model: Model) -> Model:
 
 
 def constant_sd(model: Model, stated: Mapping[str, float]) -> dict[str, float]:
-    """{parameter: relative standard deviation} of the constants of the vehicle, `stated` [SI] or the default."""
+    """{parameter: relative standard deviation} of the constants of the vehicle, `stated` [SI] or that of its kind."""
     known = {}
-    for name, share in CONSTANTS.items():
+    for name, share in model.board.stated_sd.items():
         value = getattr(model.board, name, None)
         if value is not None and float(value) > 0:
             known[f"board.{name}"] = stated[name] / float(value) if name in stated else share
