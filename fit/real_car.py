@@ -32,18 +32,20 @@ def main(folder: Path) -> tuple[sj.Explanation, PredictionResult]:
     for effect, sure in found.confidence.items():
         print(f"  {effect}: {sure}")
 
-    # 2. The error of each step, the paths of the first and of the last model, and the tyres.
+    # 2. The error of each step, and the paths of the first and of the last model.
     models = views_of_steps(found)
-    ends = [models[0], models[-1]]
     plot.save(plot.waterfall(found), folder, "car-error")
-    plot.save(plot.paths(ends), folder, "car-paths")
-    plot.save(plot.tyre(ends[1:]), folder, "car-tyre")
+    plot.save(plot.paths([models[0], models[-1]]), folder, "car-paths")
 
     # 3. How far off each model is 1 and 2 s after half a second of lead-in, in recordings that no fit has seen.
     result = folder / "car.json"
     result.write_text(json.dumps(explanation_json(found, provenance_json(0, {}, found.case.sha256))))
     ahead = sj.predict(CAR, result, (1.0, 2.0))
     plot.save(plot.prediction(ahead.groups, found.case.title), folder, "car-prediction")
+    for group, by_model in ahead.groups.items():
+        for name in ("base", "final"):
+            for seconds, off in by_model[name].items():
+                print(f"{group}, {name}, {seconds} s: {1e3 * off.position:.0f} mm, {1e3 * off.heading:.0f} mrad")
     result.unlink()
     return found, ahead
 
