@@ -8,6 +8,9 @@ from snakejax.diagnosis.plan import Plan
 
 from .tables import add_row, plain_table
 
+MOST_NAMES = 12
+"""The names of runs that are listed; the JSON has all."""
+
 
 def plan_text(plan: Plan) -> RenderableType:
     """The base, the runs, and the candidates with their parameters."""
@@ -17,8 +20,8 @@ def plan_text(plan: Plan) -> RenderableType:
     lines: list[RenderableType] = [
         Text(f"{plan.case}: nothing is fitted."),
         Text(f"An explanation would fit {free} under {first}{then}"),
-        Text(f"to {len(plan.train)} train runs ({', '.join(plan.train)})"),
-        Text(f"and judge the result by {len(plan.heldout)} held-out runs ({', '.join(plan.heldout) or 'none'})."),
+        Text(f"to {len(plan.train)} train runs ({_some(plan.train)})"),
+        Text(f"and judge the result by {len(plan.heldout)} held-out runs ({_some(plan.heldout) or 'none'})."),
         Text(""),
     ]
     table = plain_table("candidate", "parameters")
@@ -27,3 +30,8 @@ def plan_text(plan: Plan) -> RenderableType:
     lines.append(table)
     lines += [Text(f"Excluded: {name}: {why.rstrip('.')}.") for name, why in plan.left_out.items()]
     return Group(*lines)
+
+
+def _some(names: tuple[str, ...]) -> str:
+    more = len(names) - MOST_NAMES
+    return ", ".join(names[:MOST_NAMES]) + (f" and {more} more" if more > 0 else "")
