@@ -48,7 +48,7 @@ class Solution(NamedTuple):
     `start` (R, S): start states; `linearised` at the optimum; `covariance` (k, k) of the steps of the interior
     parameters `loose`, in that order, for unit noise (`Variables` defines a step); `misfit`: mean squared normalised
     residual (reduced chi-squared per sample); `rough`: parameters whose column of `linearised` is not the derivative of
-    the simulation, None if that was not checked.
+    the simulation, None if that was not checked; `threshold`: that of Huber's loss [standard deviations].
     """
 
     values: dict[str, float]
@@ -62,6 +62,7 @@ class Solution(NamedTuple):
     steps: int
     converged: bool
     rough: tuple[str, ...] | None = None
+    threshold: float = np.inf
 
     @property
     def loose(self) -> tuple[str, ...]:
@@ -198,7 +199,8 @@ class Problem(eqx.Module):
             loose = [k >= len(free) or free[k] not in held for k in range(self.width)]
             directions = jnp.asarray(moving * np.array(loose)[:, None])
             at = eqx.tree_at(lambda u: (u.values, u.directions), at, (jnp.asarray(values), directions))
-        return self._solution(LeastSquaresResult(at, ended, steps, solved.settled), free, held, runs, window)
+        solution = self._solution(LeastSquaresResult(at, ended, steps, solved.settled), free, held, runs, window)
+        return solution._replace(threshold=float(settings.threshold))
 
     def _solution(
         self, result: LeastSquaresResult, free: list[str], held: list[str], runs: list[int], window: Batch

@@ -3,12 +3,14 @@
 from collections.abc import Mapping
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from .goodness_of_fit import consistent_with_noise
 from .jackknife import left_out_sd
-from .linearisation import domains_of, project_out_starts
+from .least_squares import robust
+from .linearisation import Linearised, domains_of, project_out_starts
 from .multiple_shooting import LENGTH
 from .problem import Problem, Solution
 
@@ -16,6 +18,11 @@ UNDETERMINED_SD = 0.5
 """A parameter is undetermined if its relative standard error (for E: the standard error) is larger than this."""
 UNKNOWN = 10.0
 """Above this relative standard error none is reported: the linear model does not hold so far from the optimum."""
+
+MANY_WINDOWS = 8
+"""More runs than these that all begin in motion are windows of longer recordings."""
+FEWEST_RECORDINGS = 10
+"""With fewer recordings than these single windows are left out."""
 
 
 class Estimate(NamedTuple):
@@ -46,30 +53,41 @@ def contradicted(problem: Problem, solution: Solution) -> dict[str, float]:
     """Standard errors by the jackknife over runs, for interior parameters of effects; empty if only noise is left.
 
     The value of an effect that stands in for a missing one differs between runs. For a single run, intervals of
-    `LENGTH` [s] are left out in place of runs.
+    `LENGTH` [s] are left out in place of runs. Of windows of longer recordings all parameters have one: what a vehicle
+    does not repeat lasts as long as a window. Whole recordings are left out, windows where there are less than
+    `FEWEST_RECORDINGS`.
     """
     columns = [solution.free.index(name) for name in solution.loose]
-    if consistent_with_noise(solution) or not any(name.startswith("effects.") for name in solution.loose):
-        return {}
     free_start, times = np.asarray(problem.batch.free_start), np.asarray(problem.batch.times)
     # The Jacobian of runs that were not fitted is zero.
     runs = [k for k, J in enumerate(solution.linearised.jacobian) if J.any()]
-    parts = [project_out_starts(solution.linearised, k, problem.width, free_start) for k in runs]
+    windows = len(runs) > MANY_WINDOWS and all(problem.runs[k].moving for k in runs)
+    concerned = [name for name in solution.loose if windows or name.startswith("effects.")]
+    if consistent_with_noise(solution) or not concerned:
+        return {}
+    linearised = solution.linearised
+    if windows and np.isfinite(solution.threshold):
+        linearised = Linearised(
+            *robust(jnp.asarray(linearised.residual), jnp.asarray(linearised.jacobian), solution.threshold)
+        )
+    parts = [project_out_starts(linearised, k, problem.width, free_start) for k in runs]
     J, r = np.concatenate([J[:, columns] for _, J in parts]), np.concatenate([r for r, _ in parts])
     if not (np.isfinite(J).all() and np.isfinite(r).all()):
         return {}
-    group = np.repeat(runs, [len(r) for r, _ in parts])
+    _, recording = np.unique([problem.runs[k].recorded_as for k in runs], return_inverse=True)
+    left_out = recording if windows and recording.max() >= FEWEST_RECORDINGS - 1 else np.asarray(runs)
+    group = np.repeat(left_out, [len(r) for r, _ in parts])
     if len(runs) == 1:
         group = np.repeat(np.floor((times[runs[0]] - times[runs[0]][0]) / LENGTH), 3)
     jackknife = dict(zip(solution.loose, left_out_sd(J, r, group), strict=True))
-    return {name: float(sd) for name, sd in jackknife.items() if name.startswith("effects.")}
+    return {name: float(jackknife[name]) for name in concerned}
 
 
 def estimates_of(problem: Problem, solution: Solution) -> dict[str, Estimate]:
     """Value, standard error and identifiability of each free parameter.
 
-    The standard error is sqrt(covariance) times `spread`. For a parameter of an effect it is the jackknife error over
-    runs if that is larger and more than noise is left.
+    The standard error is sqrt(covariance) times `spread`. For a parameter of an effect, and for all of a fit to
+    windows, it is the jackknife error if that is larger and more than noise is left, see `contradicted`.
     """
     factor, jackknife = spread(solution), contradicted(problem, solution)
     variances = dict(zip(solution.loose, np.diag(solution.covariance), strict=True))
