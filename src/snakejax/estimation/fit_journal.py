@@ -17,7 +17,7 @@ import io
 import pickle
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +27,7 @@ from snakejax.core.errors import InputError
 from snakejax.core.files import write_whole
 from snakejax.simulation.chunks import fingerprint
 
+Function = TypeVar("Function", bound=Callable)
 SUFFIX = ".fit"
 """Ending of the name of a file with one fit."""
 _HASH = hashlib.sha256().digest_size
@@ -82,26 +83,25 @@ def keep_fits(folder: Path) -> Iterator[FitJournal]:
         _journal.reset(token)
 
 
-def kept_fit(parts_of: Callable[..., Any] | None = None) -> Callable[[Callable], Any]:
-    """Decorate a function whose results a journal keeps: numbers, text and arrays in tuples, lists and dictionaries.
+def kept(parts: Any, compute: Callable[[], Any]) -> Any:
+    """The result of `compute`, from the journal where one is open and has it.
 
-    `parts_of` takes the arguments and returns a pytree of all on which the result depends (default: the arguments).
+    `parts` is a pytree of all on which the result depends, with the name of what is computed; the result consists of
+    numbers, text and arrays in tuples, lists and dictionaries.
     """
+    journal = _journal.get()
+    return compute() if journal is None else journal.result(parts, compute)
 
-    def decorate(function: Callable) -> Callable:
-        name = f"{function.__module__}.{function.__qualname__}"
 
-        @functools.wraps(function)
-        def wrapped(*args: Any, **options: Any) -> Any:
-            journal = _journal.get()
-            if journal is None:
-                return function(*args, **options)
-            parts = (args, options) if parts_of is None else parts_of(*args, **options)
-            return journal.result((name, parts), lambda: function(*args, **options))
+def kept_fit(function: Function) -> Function:
+    """Decorate a function whose results a journal keeps, see `kept`; they depend on its arguments alone."""
+    name = f"{function.__module__}.{function.__qualname__}"
 
-        return wrapped
+    @functools.wraps(function)
+    def wrapped(*args: Any, **options: Any) -> Any:
+        return kept((name, args, options), lambda: function(*args, **options))
 
-    return decorate
+    return cast(Function, wrapped)
 
 
 def _has_digest(parts: Any) -> bool:

@@ -155,7 +155,7 @@ class Windows(eqx.Module):
         """Residuals (W, n, 3) of the windows; their Jacobian by `free` (default: all names) and the start states."""
         return linearise_windows(self.problem, values, start, range(len(self.problem.runs)), free)
 
-    @kept_fit()
+    @kept_fit
     def settle(
         self, values: Mapping[str, float], free: Sequence[str], start: np.ndarray | None = None, rounds: int = 12
     ) -> "WindowSolution":

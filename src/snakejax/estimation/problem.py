@@ -154,7 +154,7 @@ class Problem(eqx.Module):
         """Residuals and Jacobian at `at`; the residuals after `until` [s] are zero."""
         return evaluate(self.model, at, self._within(until), list(runs), self.accuracy)
 
-    @kept_fit()
+    @kept_fit
     def fit(
         self,
         values: Mapping[str, float],

@@ -182,7 +182,7 @@ def _derivatives(
     return WindowColumns(residual, by_values, starts, samples)
 
 
-@kept_fit()
+@kept_fit
 def fit_windows_robustly(
     problem: Problem,
     point: WindowPoint,

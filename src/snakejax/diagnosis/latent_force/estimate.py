@@ -195,7 +195,7 @@ class ForceEstimator(eqx.Module):
         square += float(precision @ pull**2)
         return square if np.isfinite(square) else np.inf
 
-    @kept_fit()
+    @kept_fit
     def settled(self, start: np.ndarray) -> "ForceSolution":
         """Parameters, start states and force, by Gauss-Newton from no force at all."""
         point = ForcePoint(self.values(), start, tuple(np.zeros((count, 3)) for count in self.counts))

@@ -29,7 +29,6 @@ from snakejax.dynamics.ports import Effect, Force
 from snakejax.recording.run import Run
 
 from ..batch import stacked_gaits
-from ..fit_journal import kept_fit
 from ..multiple_shooting import initial_states
 
 LENGTH = 0.25
@@ -263,11 +262,6 @@ class Segments:
         step = np.minimum(LARGEST_STEP, STABLE / np.maximum(rate, 1e-9))
         return np.ceil(np.clip(frame / step - 1e-9, 1, MOST_STEPS)).astype(np.int64)
 
-    @property
-    def _simulated(self) -> tuple:
-        """All on which a simulation of the segments depends beside its parameters and start states."""
-        return self.model, self.names, self.multiplicative, self.inputs, self.cut.pose.shape, self.sub
-
     def guess(self) -> np.ndarray:
         """The smoothed states (S, nz) at the first sample of each segment; memories and forces are zero."""
         z = np.zeros((len(self.cut.run), BODY + self.model.memories + FORCE))
@@ -295,7 +289,6 @@ class Segments:
         z[:, BODY:-FORCE] = np.where(self.cut.rest[:, None], 0.0, np.asarray(steady))
         return z
 
-    @kept_fit(lambda self, values, z: (self._simulated, values, z))
     def linearise(self, values: np.ndarray, z: np.ndarray) -> LinearisedSegments:
         """Poses and end states at the parameters `values` (P,) and start states `z` (S, nz), with derivatives."""
         S, n = self.cut.pose.shape[:2]

@@ -20,7 +20,6 @@ from scipy import optimize
 from snakejax.dynamics.model import Model
 from snakejax.recording.run import Run
 
-from ..fit_journal import kept_fit
 from ..multiple_shooting import initial_states
 from .kalman import Discrepancy, SegmentData, filter_runs
 from .least_squares import Prior
@@ -144,7 +143,6 @@ def restricted_likelihood(data: SegmentData, of: Discrepancy, free: np.ndarray, 
     return float(_restricted(jnp.asarray(_logarithms(of)), kept, *_prior_of(prior, free)))
 
 
-@kept_fit()
 def estimate_discrepancy(
     data: SegmentData, start: Discrepancy, free: np.ndarray, prior: Prior, scales: Scales, most: int
 ) -> tuple[Discrepancy, float]:
