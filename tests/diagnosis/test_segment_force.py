@@ -5,6 +5,7 @@ from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 from helpers.small_case import small
@@ -18,6 +19,7 @@ from snakejax.diagnosis.law.grammar import Family, Term
 from snakejax.dynamics.law import LawParameter, law_class
 from snakejax.estimation.discrepancy.kalman import Discrepancy, gram_matrices, segment_data
 from snakejax.estimation.discrepancy.segments import BODY, FORCE, Segments
+from snakejax.estimation.fit_journal import keep_fits
 
 NAMES = ("tyre.D", "effects.push.a", "effects.north.a", "effects.grip.a")
 DISCREPANCY = Discrepancy(np.array([3e-4, 3e-4, 1e-3]), np.array([5e-4, 5e-4, 1.5e-3]), 0.2, np.full(3, 0.05), 0.6)
@@ -96,3 +98,17 @@ def test_the_motion_of_the_samples_is_that_of_the_start_states() -> None:
         np.testing.assert_allclose(getattr(track, name)[:, 0], z[:, k], atol=1e-12)
     np.testing.assert_allclose(track.time, segments.cut.times[:, :-1], atol=1e-12)
     assert track.inputs["rotor_angle"].shape == track.x.shape
+
+
+def test_a_kept_refit_is_linearised_where_it_ended(tmp_path) -> None:
+    """Bit for bit as it was, though only its point is kept."""
+    search, linear = problem()
+    search = search._replace(scales=())  # type: ignore[arg-type]
+    found = []
+    for _ in range(2):
+        with keep_fits(tmp_path) as journal:
+            found.append(search.refit(linear.point, (), rounds=1, most=0))
+    assert (journal.earlier, journal.used, journal.computed) == (1, 1, 0)
+    assert not np.array_equal(found[0].point.values, linear.point.values)
+    for before, after in zip(*map(jax.tree.leaves, found), strict=True):
+        assert np.asarray(before).tobytes() == np.asarray(after).tobytes()

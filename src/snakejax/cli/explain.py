@@ -1,18 +1,24 @@
 """`snakejax explain`: fit, compare, diagnose, add an effect and fit again, until the rest is noise."""
 
 import argparse
+import contextlib
+import shutil
+import sys
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
+from snakejax.core.tabular import counted
 
 from .animation import add_films, films, require_films
 from .diagnose import explain_options
+from .exit_status import DONE
 from .options import add_candidates, add_cases, add_command, add_fitting, add_model, add_output, given, threshold
 from .pipeline import Outcome, Stopwatch, each_case
 
-if TYPE_CHECKING:
-    pass
+KEPT = "unfinished"
+"""The folder, in that of `--out`, of the fits that a command has finished before it ends."""
 
 
 def add(commands: Any) -> None:
@@ -23,7 +29,8 @@ def add(commands: Any) -> None:
         run,
         "find out which physical effect is missing",
         "Fit, examine the residual, add the effect that explains it, and fit again, until\n"
-        "only noise is left or no known effect helps.",
+        "only noise is left or no known effect helps. With --out an interrupted command goes\n"
+        "on where it was when it is run again; without --out nothing is kept.",
         "snakejax explain data/tilted-floor --json -",
     )
     add_cases(command)
@@ -39,7 +46,31 @@ def run(options: argparse.Namespace) -> int:
     """Explain each CASE."""
     threshold(options.robust)
     require_films(options)
-    return each_case(options, lambda case, say: work(options, case, say), drop_programs=True)
+    status = each_case(options, lambda case, say: work(options, case, say), drop_programs=True)
+    if status == DONE and options.out is not None and not options.plan:
+        shutil.rmtree(Path(options.out) / KEPT, ignore_errors=True)
+    return status
+
+
+@contextlib.contextmanager
+def kept_fits(options: argparse.Namespace, case: Any) -> Iterator[None]:
+    """Keep the finished fits of a case in a folder in that of `--out`, and say how many are there already.
+
+    The folder is named by the case and by all that is asked about it.
+    """
+    if options.out is None:
+        yield
+        return
+    from snakejax.estimation.fit_journal import keep_fits
+    from snakejax.simulation.chunks import fingerprint
+
+    asked = explain_options(options, no_progress)
+    asked = [f"{name} {value}" for name, value in asked.items() if name != "progress"]
+    folder = Path(options.out) / KEPT / fingerprint(case, asked)[:16]
+    with keep_fits(folder) as journal:
+        if journal.earlier and not options.quiet:
+            print(f"Going on: {counted(journal.earlier, 'fit')} of an earlier run are used.", file=sys.stderr)
+        yield
 
 
 def plan(options: argparse.Namespace, case: Any) -> Outcome:
@@ -68,7 +99,8 @@ def work(options: argparse.Namespace, case: Any, say: Progress) -> Outcome:
     from snakejax.present.views import views_of_steps
 
     clock = Stopwatch()
-    explanation = explain_case(case, explain_options(options, say))
+    with kept_fits(options, case):
+        explanation = explain_case(case, explain_options(options, say))
     provenance = provenance_json(options.seed, given(options), case.sha256)
 
     result = {**explanation_json(explanation, provenance, clock.seconds()), **joint_logs_json(explanation.case.runs)}

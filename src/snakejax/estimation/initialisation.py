@@ -2,11 +2,11 @@
 
 import itertools
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
 from snakejax.core.errors import FitError
+from snakejax.core.parallel import ContextThreads
 from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
 from snakejax.recording.run import Run
 
@@ -151,7 +151,7 @@ def fit_windows(windows: Windows, values: Mapping[str, float], free: Sequence[st
     """The better of two fits of `windows`: from `values`, and from the tyre force times `WEAKER` if it is free."""
     force = [n for n in free if n.startswith("tyre.") and n.rsplit(".", 1)[-1] in ("D", "k_s")]
     weaker = {n: v * WEAKER if n in force else v for n, v in values.items()}
-    with ThreadPoolExecutor() as pool:
+    with ContextThreads() as pool:
         return min(pool.map(lambda start: windows.settle(start, free), (values, weaker)), key=lambda s: s.cost)
 
 

@@ -18,6 +18,7 @@ from snakejax.dynamics.model import Model
 from snakejax.recording.run import Noise, Run
 from snakejax.simulation.integrate import Accuracy
 
+from .fit_journal import kept_fit
 from .linearisation import Linearised, Variables, domains_of, first, linearise, narrowed, widened
 from .problem import Problem, dependence_of
 
@@ -154,6 +155,7 @@ class Windows(eqx.Module):
         """Residuals (W, n, 3) of the windows; their Jacobian by `free` (default: all names) and the start states."""
         return linearise_windows(self.problem, values, start, range(len(self.problem.runs)), free)
 
+    @kept_fit
     def settle(
         self, values: Mapping[str, float], free: Sequence[str], start: np.ndarray | None = None, rounds: int = 12
     ) -> "WindowSolution":

@@ -14,6 +14,7 @@ from snakejax.recording.run import Noise, Run
 from snakejax.simulation.integrate import Accuracy
 
 from .batch import Batch, batch
+from .fit_journal import kept_fit
 from .least_squares import LeastSquaresResult, SolverSettings, evaluate, solve
 from .levenberg_marquardt import MOST_STEPS
 from .linearisation import Linearised, Variables, domains_of, project_out_starts, variables
@@ -154,6 +155,7 @@ class Problem(eqx.Module):
         """Residuals and Jacobian at `at`; the residuals after `until` [s] are zero."""
         return evaluate(self.model, at, self._within(until), list(runs), self.accuracy)
 
+    @kept_fit
     def fit(
         self,
         values: Mapping[str, float],

@@ -20,6 +20,7 @@ from jaxtyping import Float
 from snakejax.core.parameter import Domain
 
 from .discrepancy.least_squares import scaled_inverse
+from .fit_journal import kept_fit
 from .linearisation import domains_of
 from .many_runs import FIRST_DAMPING, LEAST_DAMPING
 from .problem import Problem
@@ -181,6 +182,7 @@ def _derivatives(
     return WindowColumns(residual, by_values, starts, samples)
 
 
+@kept_fit
 def fit_windows_robustly(
     problem: Problem,
     point: WindowPoint,

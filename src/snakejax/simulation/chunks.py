@@ -1,6 +1,7 @@
 """Chunked computation over many members: on the cores or a cluster, with results saved by chunk and resumable."""
 
 import dataclasses
+import functools
 import hashlib
 import os
 import zipfile
@@ -15,7 +16,9 @@ import numpy as np
 
 from snakejax.core.errors import InputError
 from snakejax.core.parallel import cores
+from snakejax.core.parameter import own_parameters
 from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
+from snakejax.dynamics.law import Law
 
 from .ensemble import CHUNK
 
@@ -51,16 +54,26 @@ def fingerprint(*parts: Any) -> str:
     digest = hashlib.sha256()
     leaves, structure = jax.tree.flatten(parts)
     digest.update(f"{structure} {jax.__version__} {chunk_size()}".encode())
-    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
-        digest.update(path.read_bytes())
+    digest.update(_own_code())
     for kind in sorted(_classes(parts), key=lambda kind: kind.__qualname__):
         for name, method in vars(kind).items():
             code = getattr(method, "__code__", None)
             digest.update(f"{name} {code and (code.co_code, code.co_consts, code.co_names)}".encode())
+    for law in sorted(_laws(parts)):
+        digest.update(law.encode())
     for leaf in leaves:
         array = np.asarray(leaf)
         digest.update(f"{array.dtype}{array.shape}".encode() + array.tobytes())
     return digest.hexdigest()
+
+
+@functools.cache
+def _own_code() -> bytes:
+    """Hash of the code of this package."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.digest()
 
 
 def _classes(tree: Any) -> set[type]:
@@ -72,6 +85,17 @@ def _classes(tree: Any) -> set[type]:
                 classes.add(type(node))
             classes |= _classes([getattr(node, field.name) for field in dataclasses.fields(node)])  # type: ignore
     return classes
+
+
+def _laws(tree: Any) -> set[str]:
+    """The laws in `tree`, whose classes have one name: each with its expression and the domains of its parameters."""
+    laws: set[str] = set()
+    for node in jax.tree.leaves(tree, is_leaf=lambda node: isinstance(node, eqx.Module)):
+        if isinstance(node, eqx.Module):
+            if isinstance(node, Law):
+                laws.add(f"{node.expression} {[(name, domain) for name, (_, domain) in own_parameters(node)]}")
+            laws |= _laws([getattr(node, field.name) for field in dataclasses.fields(node)])  # type: ignore
+    return laws
 
 
 def chunk_size() -> int:

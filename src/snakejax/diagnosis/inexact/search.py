@@ -22,6 +22,7 @@ from snakejax.estimation.discrepancy.kalman import (
 from snakejax.estimation.discrepancy.least_squares import Optimum, Prior
 from snakejax.estimation.discrepancy.segments import Segments
 from snakejax.estimation.discrepancy.strength import Scales, estimate_discrepancy
+from snakejax.estimation.fit_journal import kept
 
 from ..selection.criteria import CRITERIA, SelectionCriteria
 from .candidate_model import CandidateModel
@@ -149,8 +150,18 @@ class Search(NamedTuple):
         z = moved_states(self.segments.cut, linear.point.z, deviation)
         return Point(new, z, linear.point.discrepancy, tuple(effects))
 
+    @property
+    def parts(self) -> tuple:
+        """All on which the result of a fit depends beside its start."""
+        own = self.segments
+        segments = (own.model, own.names, own.domains, own.multiplicative, own.cut, own.inputs, own.smoothed, own.sub)
+        return segments, self.model, self.scales, self.criteria, dict(self.trials)
+
     def begin(self) -> Point:
         """The tyre and the constants fitted beside a free force; no effects."""
+        return kept(("begin", self.parts), self._begun)
+
+    def _begun(self) -> Point:
         point = Point(self.model.neutral.copy(), self.segments.guess(), self.scales.first_guess(), ())
         for _ in range(TYRE_ROUNDS):
             linear = self.linearise(point)
@@ -159,6 +170,17 @@ class Search(NamedTuple):
 
     def refit(self, point: Point, effects: Sequence[str], rounds: int = REFIT_ROUNDS, most: int = ROUGH) -> Linear:
         """`effects` alone fitted to the end from `point`, and the problem linearised there."""
+        fitted: list[Linear] = []
+
+        def fit() -> Point:
+            fitted.append(self._refitted(point, effects, rounds, most))
+            return fitted[0].point
+
+        # Of a fit that is kept only the point is: the arrays of its linearisation are large, and computed at once.
+        there = kept(("refit", self.parts, point, tuple(effects), rounds, most), fit)
+        return fitted[0] if fitted else self.linearise(there, most=0)
+
+    def _refitted(self, point: Point, effects: Sequence[str], rounds: int, most: int) -> Linear:
         values = point.values.copy()
         for effect, columns in self.model.candidates.items():
             for k in columns:
@@ -207,6 +229,10 @@ def revised(search: Search, point: Point) -> Linear:
 
 def _rounds(search: Search, point: Point) -> Point:
     """The rounds in which effects are chosen anew."""
+    return kept(("rounds", search.parts, point), lambda: _chosen(search, point))
+
+
+def _chosen(search: Search, point: Point) -> Point:
     model = search.model
     for k in range(SEARCH_ROUNDS):
         search.progress(ProgressEvent(Phase.CHOOSING_EFFECTS, done=k + 1, total=SEARCH_ROUNDS))

@@ -21,6 +21,7 @@ from scipy import linalg
 from snakejax.core.parameter import parameters, with_parameters
 from snakejax.dynamics.model import Model
 from snakejax.estimation.batch import Batch
+from snakejax.estimation.fit_journal import kept_fit
 from snakejax.estimation.linearisation import Variables, domains_of
 from snakejax.estimation.problem import DEPENDENT, Problem
 
@@ -194,6 +195,7 @@ class ForceEstimator(eqx.Module):
         square += float(precision @ pull**2)
         return square if np.isfinite(square) else np.inf
 
+    @kept_fit
     def settled(self, start: np.ndarray) -> "ForceSolution":
         """Parameters, start states and force, by Gauss-Newton from no force at all."""
         point = ForcePoint(self.values(), start, tuple(np.zeros((count, 3)) for count in self.counts))

@@ -4,12 +4,12 @@ effects survive beside it.
 
 import dataclasses
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from snakejax.core.parallel import ContextThreads
 from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
 from snakejax.core.tabular import Tabular
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
@@ -171,7 +171,7 @@ def _with_coexisting_effects(
         progress(ProgressEvent(Phase.COEXISTING_EFFECTS, text))
         known = (*step.effects, *(name for name in now.beside if name != LATERAL_SLIP_SWITCH))
         steps = [CandidateFit((*known, name), step.solution) for name in rest]
-        with ThreadPoolExecutor(WORKERS) as pool:
+        with ContextThreads(WORKERS) as pool:
             forces = list(pool.map(partial(estimate_latent_force, candidate_set), steps))
         k = min(range(len(rest)), key=lambda k: forces[k].left)
         # What laws explain counts on both sides.

@@ -1,11 +1,11 @@
 """Effects that act together: sets of candidates, searched on short windows."""
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
 
+from snakejax.core.parallel import ContextThreads
 from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
 
 from .candidates import WORKERS, CandidateFit, CandidateSet
@@ -75,5 +75,5 @@ def _extended(
         best = candidate_set.windows.settle(begin, [*free, *remaining[s.effect]], settled.start, rounds=25)
         return CandidateSubset((*subset.effects, s.effect), best.values, best.cost / dof, best.start)
 
-    with ThreadPoolExecutor(WORKERS) as pool:
+    with ContextThreads(WORKERS) as pool:
         return list(pool.map(settle, new))

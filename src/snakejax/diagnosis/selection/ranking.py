@@ -1,11 +1,11 @@
 """The ranking: candidates scored on short windows, the best of them refitted on whole runs."""
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
 
+from snakejax.core.parallel import ContextThreads
 from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.estimation.goodness_of_fit import consistent_with_noise
@@ -70,7 +70,7 @@ def rank(
             refit(candidate_set, effects, candidate.values, near=candidate.misfit < criteria.close_windows_misfit),
         )
 
-    with ThreadPoolExecutor(WORKERS) as pool:
+    with ContextThreads(WORKERS) as pool:
         refits = dict(zip([p.score.effect for p in shortlist], pool.map(again, shortlist), strict=True))
 
     def ranked(p: ScreenedCandidate) -> RankedCandidate:

@@ -1,12 +1,12 @@
 """What each candidate promises, by its score and on short windows."""
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
 
+from snakejax.core.parallel import ContextThreads
 from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
 from snakejax.estimation.multiple_shooting import WindowSolution, linearise_windows
 from snakejax.estimation.problem import DEPENDENT
@@ -80,7 +80,7 @@ class _WindowBase(NamedTuple):
 def _settled(candidate_set: CandidateSet, step: CandidateFit, fitted: Sequence[str]) -> WindowSolution:
     """The fitted parameters on the windows, from where they are and from where the tyre began."""
     fresh = {**step.solution.values, **{n: candidate_set.problem.values()[n] for n in candidate_set.tyre}}
-    with ThreadPoolExecutor(WORKERS) as pool:
+    with ContextThreads(WORKERS) as pool:
         both = pool.map(
             lambda values: candidate_set.windows.settle(values, fitted, rounds=15), (step.solution.values, fresh)
         )
@@ -114,7 +114,7 @@ def _refit_on_windows(
             scored = _surer(scored, base.misfit * base.dof - best.cost, misfit, len(screened), criteria)
         return ScreenedCandidate(scored, best.values, misfit, best.start)
 
-    with ThreadPoolExecutor(WORKERS) as pool:
+    with ContextThreads(WORKERS) as pool:
         refitted = sorted(pool.map(settle, chosen), key=lambda c: c.misfit)
     done = {c.score.effect for c in refitted}
     return [*refitted, *(c for c in screened if c.score.effect not in done)]
