@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import hashlib
 import os
+import sys
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
@@ -59,7 +60,10 @@ def fingerprint(*parts: Any) -> str:
         for name, method in vars(kind).items():
             code = getattr(method, "__code__", None)
             digest.update(f"{name} {code and (code.co_code, code.co_consts, code.co_names)}".encode())
-    for law in sorted(_laws(parts)):
+        # What stands beside a class in its file, such as a constant, may be used by it.
+        file = getattr(sys.modules.get(kind.__module__), "__file__", None)
+        digest.update(Path(file).read_bytes() if file and Path(file).is_file() else b"")
+    for law in _laws(parts):
         digest.update(law.encode())
     for leaf in leaves:
         array = np.asarray(leaf)
@@ -87,14 +91,14 @@ def _classes(tree: Any) -> set[type]:
     return classes
 
 
-def _laws(tree: Any) -> set[str]:
+def _laws(tree: Any) -> list[str]:
     """The laws in `tree`, whose classes have one name: each with its expression and the domains of its parameters."""
-    laws: set[str] = set()
+    laws: list[str] = []
     for node in jax.tree.leaves(tree, is_leaf=lambda node: isinstance(node, eqx.Module)):
         if isinstance(node, eqx.Module):
             if isinstance(node, Law):
-                laws.add(f"{node.expression} {[(name, domain) for name, (_, domain) in own_parameters(node)]}")
-            laws |= _laws([getattr(node, field.name) for field in dataclasses.fields(node)])  # type: ignore
+                laws.append(f"{node.expression} {[(name, domain) for name, (_, domain) in own_parameters(node)]}")
+            laws += _laws([getattr(node, field.name) for field in dataclasses.fields(node)])  # type: ignore
     return laws
 
 
