@@ -104,11 +104,11 @@ def test_a_kept_refit_is_linearised_where_it_ended(tmp_path) -> None:
     """Bit for bit as it was, though only its point is kept."""
     search, linear = problem()
     search = search._replace(scales=())  # type: ignore[arg-type]
-    found = []
-    for _ in range(2):
-        with keep_fits(tmp_path) as journal:
-            found.append(search.refit(linear.point, (), rounds=1, most=0))
+    with keep_fits(tmp_path):
+        first = search.refit(linear.point, (), rounds=1, most=0)
+    with keep_fits(tmp_path) as journal:
+        again = search.refit(linear.point, (), rounds=1, most=0)
     assert (journal.earlier, journal.used, journal.computed) == (1, 1, 0)
-    assert not np.array_equal(found[0].point.values, linear.point.values)
-    for before, after in zip(*map(jax.tree.leaves, found), strict=True):
+    assert not np.array_equal(first.point.values, linear.point.values)
+    for before, after in zip(jax.tree.leaves(first), jax.tree.leaves(again), strict=True):
         assert np.asarray(before).tobytes() == np.asarray(after).tobytes()
