@@ -51,7 +51,7 @@ class LeastSquaresResult(NamedTuple):
     settled: bool
 
 
-def robust(r, J, threshold):
+def _robust(r, J, threshold):
     """Residuals whose square is twice Huber's loss (Huber 1964), and their Jacobian.
 
     The square is r^2 for |r| <= t and 2 t |r| - t^2 above, with t the `threshold` in standard deviations.
@@ -88,7 +88,7 @@ def _solve(model, at: Variables, batch: Batch, selection, inverse_damping, prior
     def residuals(z, _):
         fixed = jax.lax.stop_gradient(z)
         out = linearise(model, at, batch, order, count, fixed[:width], fixed[width:].reshape(R, depth), accuracy)
-        r, J = _triangles(*robust(*out, settings.threshold))
+        r, J = _triangles(*_robust(*out, settings.threshold))
         dz, dstart = (z - fixed)[:width], (z - fixed)[width:].reshape(R, depth)
         # The value is r; the derivative is the Jacobian just computed, run by run.
         linear = r + jnp.einsum("rmk,k->rm", J[..., :width], dz) + jnp.einsum("rms,rs->rm", J[..., width:], dstart)
@@ -140,18 +140,18 @@ def _solved_by_elimination(model, at: Variables, batch: Batch, runs: list[int], 
         found, some = at_point(np.zeros(width), starts, numbers), [runs[k] for k in numbers]
         return np.asarray(found.residual)[some], np.asarray(found.jacobian)[some]
 
-    def outliers_reduced(parts: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    def robust(parts: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         if not np.isfinite(float(settings.threshold)):
             return parts
-        r, J = robust(jnp.asarray(parts[0]), jnp.asarray(parts[1]), settings.threshold)
+        r, J = _robust(jnp.asarray(parts[0]), jnp.asarray(parts[1]), settings.threshold)
         return np.asarray(r), np.asarray(J)
 
     samples = int((np.asarray(batch.weight)[runs] > 0).sum())
     ending = Ending(float(settings.enough), float(settings.crawl), samples, int(settings.most))
     if np.asarray(at.directions).any():
-        solved = solve_many(of_runs, outliers_reduced, free_start[runs], prior, ending)
+        solved = solve_many(of_runs, robust, free_start[runs], prior, ending)
     else:
-        solved = solve_starts(of_some, outliers_reduced, free_start[runs], width, ending)
+        solved = solve_starts(of_some, robust, free_start[runs], width, ending)
     if not (last and np.array_equal(last["found"][0], solved.z) and np.array_equal(last["found"][1], solved.starts)):
         of_runs(solved.z, solved.starts)
     moves = np.zeros((R, free_start.shape[1]))
