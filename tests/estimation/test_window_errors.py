@@ -15,7 +15,7 @@ NOISE = Noise(np.asarray(1e-3), np.asarray(3e-3), "stated")
 
 
 HOLDS = 1.5
-"""Of 16 errors the root mean square in standard errors is below this in 99.9% where these hold."""
+"""Of 16 errors the root mean square in standard errors is below this in 99.7% where these hold."""
 
 
 @pytest.mark.slow
