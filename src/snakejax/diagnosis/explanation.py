@@ -79,6 +79,13 @@ class Remainder(NamedTuple):
     heading_rad: float
     depends_on: tuple[tuple[str, float], ...] = ()
 
+    @staticmethod
+    def above(floor: PoseError, position_m: float, heading_rad: float) -> "Remainder":
+        """What errors have above the `floor`, in squares."""
+        position = max(position_m**2 - floor.position_m**2, 0.0)
+        heading = max(heading_rad**2 - floor.heading_rad**2, 0.0)
+        return Remainder(float(np.sqrt(position)), float(np.sqrt(heading)))
+
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Explanation(Tabular):

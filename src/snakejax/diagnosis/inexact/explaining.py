@@ -114,11 +114,8 @@ def _remainder(final: SelectionStep, floor: PoseError) -> Remainder:
     for share in significant_shares(residual_dependence(tracks)):
         variable = general_name(share.variable)
         shares[variable] = max(share.share, shares.get(variable, 0.0))
-    return Remainder(
-        float(np.sqrt(max(judged.position_m**2 - floor.position_m**2, 0.0))),
-        float(np.sqrt(max(judged.heading_rad**2 - floor.heading_rad**2, 0.0))),
-        tuple(sorted(shares.items(), key=lambda pair: -pair[1])),
-    )
+    left = Remainder.above(floor, judged.position_m, judged.heading_rad)
+    return left._replace(depends_on=tuple(sorted(shares.items(), key=lambda pair: -pair[1])))
 
 
 def _constants(final: SelectionStep) -> dict[str, Estimate]:

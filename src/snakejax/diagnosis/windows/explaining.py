@@ -233,11 +233,7 @@ def _remainder(final: SelectionStep, floor: PoseError | None) -> Remainder | Non
     """What the median window has above the floor, in squares."""
     if floor is None:
         return None
-    position, heading = _median_error(final)
-    return Remainder(
-        float(np.sqrt(max(position**2 - floor.position_m**2, 0.0))),
-        float(np.sqrt(max(heading**2 - floor.heading_rad**2, 0.0))),
-    )
+    return Remainder.above(floor, *_median_error(final))
 
 
 def _near(remainder: Remainder, floor: PoseError) -> bool:
