@@ -74,10 +74,9 @@ _journal: contextvars.ContextVar[FitJournal | None] = contextvars.ContextVar("jo
 @contextlib.contextmanager
 def keep_fits(folder: Path) -> Iterator[FitJournal]:
     """Keep the fits that are finished within this context in `folder`, and use those that are there."""
-    token = _journal.set(FitJournal(folder))
+    journal = FitJournal(folder)
+    token = _journal.set(journal)
     try:
-        journal = _journal.get()
-        assert journal is not None
         yield journal
     finally:
         _journal.reset(token)

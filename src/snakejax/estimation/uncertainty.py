@@ -17,7 +17,7 @@ UNDETERMINED_SD = 0.5
 UNKNOWN = 10.0
 """Above this relative standard error none is reported: the linear model does not hold so far from the optimum."""
 
-MANY_WINDOWS = 8
+MOST_WHOLE_RUNS = 8
 """More runs than these that all begin in motion are windows of longer recordings."""
 FEWEST_RECORDINGS = 10
 """With fewer recordings than these single windows are left out: one of few holds so much of what is known that the
@@ -56,13 +56,15 @@ def contradicted(problem: Problem, solution: Solution) -> dict[str, float]:
     does not repeat lasts as long as a window. Whole recordings are left out, windows where there are less than
     `FEWEST_RECORDINGS`.
     """
+    if consistent_with_noise(solution):
+        return {}
     columns = [solution.free.index(name) for name in solution.loose]
     free_start, times = np.asarray(problem.batch.free_start), np.asarray(problem.batch.times)
     # The Jacobian of runs that were not fitted is zero.
     runs = [k for k, J in enumerate(solution.linearised.jacobian) if J.any()]
-    windows = len(runs) > MANY_WINDOWS and all(problem.runs[k].moving for k in runs)
+    windows = len(runs) > MOST_WHOLE_RUNS and all(problem.runs[k].moving for k in runs)
     concerned = [name for name in solution.loose if windows or name.startswith("effects.")]
-    if consistent_with_noise(solution) or not concerned:
+    if not concerned:
         return {}
     linearised = solution.linearised
     if windows and np.isfinite(solution.threshold):
@@ -74,8 +76,8 @@ def contradicted(problem: Problem, solution: Solution) -> dict[str, float]:
     J, r = np.concatenate([J[:, columns] for _, J in parts]), np.concatenate([r for r, _ in parts])
     if not (np.isfinite(J).all() and np.isfinite(r).all()):
         return {}
-    _, recording = np.unique([problem.runs[k].recorded_as for k in runs], return_inverse=True)
-    left_out = recording if windows and recording.max() >= FEWEST_RECORDINGS - 1 else np.asarray(runs)
+    names, recording = np.unique([problem.runs[k].recorded_as for k in runs], return_inverse=True)
+    left_out = recording if windows and len(names) >= FEWEST_RECORDINGS else np.asarray(runs)
     group = np.repeat(left_out, [len(r) for r, _ in parts])
     if len(runs) == 1:
         group = np.repeat(np.floor((times[runs[0]] - times[runs[0]][0]) / LENGTH), 3)

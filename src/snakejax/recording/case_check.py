@@ -1,6 +1,6 @@
 """The contents of a case, and its doubtful values."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -12,7 +12,7 @@ from snakejax.dynamics.inputs import Gait
 from snakejax.dynamics.signals import AbstractSignal, Tracked
 
 from .case import load_case
-from .quality import CONVENTIONS, Finding, Inspection, angles, clocks, estimate_noise, in_brief, inspect
+from .quality import CONVENTIONS, Finding, Inspection, angles, clocks, estimate_noise, inspect
 from .run import Case, Run
 
 Severity = Literal["note", "doubtful"]
@@ -22,12 +22,19 @@ NOISE_FACTOR = 2.0
 
 
 class Issue(NamedTuple):
-    """Something doubtful in `run` (None: in the case as a whole); `remedy`: what is done or can be done."""
+    """Something doubtful in `run` (None: in the case as a whole); `remedy`: what is done or can be done; `kind`: that
+    of a finding in the recording."""
 
     run: str | None
     what: str
     severity: Severity
     remedy: str = ""
+    kind: str = ""
+
+    @property
+    def alike(self) -> Hashable:
+        """What issues that are told together have in common, see `quality.in_brief`."""
+        return self.kind or self.what, self.severity, self.remedy
 
 
 class RunSummary(NamedTuple):
@@ -64,18 +71,18 @@ def check(
     issues += [_issue(f) for f in inspected.findings if f.run is None]
     turned = {f.run for f in inspected.findings if f.kind in (*CONVENTIONS, "frequency_unit")}
     mended = {run.name: run for run in inspected.case.runs}
-    of_runs = []
     for run in case.runs:
         of_run = [f for f in inspected.findings if f.run == run.name]
         # Clocks show only where axes, signs and frequencies are right.
         if not (any(f.severity == "refused" for f in of_run) or run.log is not None or turned & {None, run.name}):
             of_run += clocks(mended.get(run.name, run))
-        of_runs += [f._replace(run=run.name) for f in of_run]
-    return [*issues, *map(_issue, in_brief(of_runs)), *(issue for run in case.runs for issue in _steering(run))]
+        issues += [_issue(f._replace(run=run.name)) for f in of_run]
+        issues += _steering(run)
+    return issues
 
 
 def _issue(f: Finding) -> Issue:
-    return Issue(f.run, f.what, "note" if f.severity == "note" else "doubtful", f.remedy)
+    return Issue(f.run, f.what, "note" if f.severity == "note" else "doubtful", f.remedy, f.kind)
 
 
 def _readings(case: Case) -> dict[str, list[str]]:

@@ -80,26 +80,26 @@ def _own_code() -> bytes:
     return digest.digest()
 
 
-def _classes(tree: Any) -> set[type]:
-    """The user-defined classes of equinox modules in `tree`."""
-    classes: set[type] = set()
+def _modules(tree: Any) -> Iterator[eqx.Module]:
+    """The equinox modules in `tree`, each before those in its fields."""
     for node in jax.tree.leaves(tree, is_leaf=lambda node: isinstance(node, eqx.Module)):
         if isinstance(node, eqx.Module):
-            if not type(node).__module__.startswith("snakejax."):
-                classes.add(type(node))
-            classes |= _classes([getattr(node, field.name) for field in dataclasses.fields(node)])  # type: ignore
-    return classes
+            yield node
+            yield from _modules([getattr(node, field.name) for field in dataclasses.fields(node)])  # type: ignore
+
+
+def _classes(tree: Any) -> set[type]:
+    """The user-defined classes of equinox modules in `tree`."""
+    return {type(node) for node in _modules(tree) if not type(node).__module__.startswith("snakejax.")}
 
 
 def _laws(tree: Any) -> list[str]:
     """The laws in `tree`, whose classes have one name: each with its expression and the domains of its parameters."""
-    laws: list[str] = []
-    for node in jax.tree.leaves(tree, is_leaf=lambda node: isinstance(node, eqx.Module)):
-        if isinstance(node, eqx.Module):
-            if isinstance(node, Law):
-                laws.append(f"{node.expression} {[(name, domain) for name, (_, domain) in own_parameters(node)]}")
-            laws += _laws([getattr(node, field.name) for field in dataclasses.fields(node)])  # type: ignore
-    return laws
+    return [
+        f"{node.expression} {[(name, domain) for name, (_, domain) in own_parameters(node)]}"
+        for node in _modules(tree)
+        if isinstance(node, Law)
+    ]
 
 
 def chunk_size() -> int:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from snakejax.recording.case_check import Issue, _readings, _which, run_summary
+from snakejax.recording.quality import in_brief
 from snakejax.recording.run import Case
 
 MOST_RUNS = 30
@@ -23,7 +24,7 @@ def check_text(case: Case, issues: Sequence[Issue]) -> str:
     lines += [f"... and {len(summaries) - MOST_RUNS} more runs"] if len(summaries) > MOST_RUNS else []
     lines += [f"{note} ({_which(names, len(summaries))})" for note, names in _readings(case).items()]
     lines += ["", "issues:" if issues else "no issues"]
-    for issue in issues:
+    for issue in in_brief(issues):
         lines.append(f"  {'? ' if issue.severity == 'doubtful' else '  '}{issue.run or 'the case'}: {issue.what}")
         lines += [f"      {issue.remedy}"] if issue.remedy else []
     return "\n".join(lines)

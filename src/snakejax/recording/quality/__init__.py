@@ -5,13 +5,13 @@ in the file that fits, name it in `find_defects` of `inspection.py`, and give it
 injection with its sizes in tests/oracles/defects.py.
 """
 
+from .brief import in_brief as in_brief
 from .clock_lag import clocks as clocks
 from .clock_lag import lag as lag
 from .clock_lag import with_log_clock as with_log_clock
 from .conventions import CONVENTIONS as CONVENTIONS
 from .finding import Finding as Finding
 from .finding import PoseSeries as PoseSeries
-from .finding import in_brief as in_brief
 from .inspection import Inspection as Inspection
 from .inspection import inspect as inspect
 from .inspection import inspect_run as inspect_run

@@ -1,6 +1,6 @@
 """A defect of a recording, as it was found: what, where, how large, and what is done about it."""
 
-from collections.abc import Sequence
+from collections.abc import Hashable
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -9,8 +9,6 @@ from jaxtyping import Bool, Float, Int
 from ..run import Run
 
 Severity = Literal["note", "doubtful", "refused"]
-ALIKE = 3
-"""More runs than these with a finding of one kind are told together."""
 Action = Literal["mask", "turn", "omit", "none"]
 
 
@@ -73,25 +71,10 @@ class Finding(NamedTuple):
         done = {"mask": "masked", "turn": "turned back"}
         return done.get(self.action, self.remedy) if self.applied else self.remedy
 
-
-def in_brief(findings: Sequence[Finding]) -> list[Finding]:
-    """The `findings` to tell: of those of one kind in more than `ALIKE` runs the first, with the number of the runs."""
-    alike: dict[tuple, list[Finding]] = {}
-    for f in findings:
-        alike.setdefault(_kind(f), []).append(f)
-    told = []
-    for f in findings:
-        group = alike[_kind(f)]
-        runs = len({one.run for one in group})
-        if runs <= ALIKE:
-            told.append(f)
-        elif f is group[0]:
-            told.append(f._replace(what=f"{f.what}; alike in {runs - 1} more runs"))
-    return told
-
-
-def _kind(f: Finding) -> tuple:
-    return f.kind, f.action, f.severity, f.applied
+    @property
+    def alike(self) -> Hashable:
+        """What findings that are told together have in common, see `in_brief`."""
+        return self.kind, self.action, self.severity, self.applied
 
 
 def finding(kind: str, track: PoseSeries, frames: Int[np.ndarray, " k"], what: str, remedy: str, **more) -> Finding:

@@ -40,7 +40,21 @@ def integrated_angle(
     return np.stack([pose[:, 0], pose[:, 1], heading, u, heading - theta, rate[:, 2]], axis=1)
 
 
-class Coupled(AbstractConstraint):
+class SlipAsCoordinate(AbstractConstraint):
+    """A structure of the paper: slip is the angle beta between the visible board and the frame of the constraints."""
+
+    def observed(
+        self,
+        times: np.ndarray,
+        pose: np.ndarray,
+        rate: np.ndarray,
+        board: AbstractVehicle,
+        inputs: Callable[[], AbstractInputs],
+    ) -> np.ndarray:
+        return integrated_angle(times, pose, rate, board, inputs())
+
+
+class Coupled(SlipAsCoordinate):
     """Slip as one further coordinate beta, with the constraints (3) of the paper kept (after Sidek and Sarkar 2008).
 
     State (x, y, theta, beta, u, s) with s = thetadot + betadot and D, W as in `dynamics.constraints`:
@@ -77,16 +91,6 @@ class Coupled(AbstractConstraint):
         lateral = tuple(as_board(board).half_length * beta_rate * c for c in steered.cosines)
         rolling = tuple(u / c for c in steered.cosines)
         return Velocities(x, y, theta, theta + beta, u, no_slip.W * u, s, lateral, rolling)
-
-    def observed(
-        self,
-        times: np.ndarray,
-        pose: np.ndarray,
-        rate: np.ndarray,
-        board: AbstractVehicle,
-        inputs: Callable[[], AbstractInputs],
-    ) -> np.ndarray:
-        return integrated_angle(times, pose, rate, board, inputs())
 
     def corrected(self, state: State, pose: State, rate: State) -> State:
         x, y, heading = pose
@@ -126,7 +130,7 @@ class Coupled(AbstractConstraint):
         return None
 
 
-class Printed(AbstractConstraint):
+class Printed(SlipAsCoordinate):
     """Equations (2) to (4) of the paper as printed, to show that a board at rest does not move under them.
 
     State (x, y, theta, beta, xdot, ydot, thetadot, betadot). With F_1 and F_2 along the constraint directions,
@@ -163,16 +167,6 @@ class Printed(AbstractConstraint):
         lateral = tuple(as_board(board).half_length * beta_rate * c for c in steered.cosines)
         rolling = tuple(u * c + v * s for v, s, c in zip(across, steered.sines, steered.cosines, strict=True))
         return Velocities(x, y, theta, theta + beta, u, w, theta_rate + beta_rate, lateral, rolling)
-
-    def observed(
-        self,
-        times: np.ndarray,
-        pose: np.ndarray,
-        rate: np.ndarray,
-        board: AbstractVehicle,
-        inputs: Callable[[], AbstractInputs],
-    ) -> np.ndarray:
-        return integrated_angle(times, pose, rate, board, inputs())
 
     def corrected(self, state: State, pose: State, rate: State) -> State:
         beta, beta_rate = state[3], state[7]
