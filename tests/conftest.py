@@ -1,7 +1,10 @@
 """What every test takes for granted: double precision, and no silent change of type or of rank."""
 
+import gc
 import os
+import resource
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import jax
@@ -27,12 +30,25 @@ LONGEST = (
     "test_rayleigh_match",
 )
 
+MOST_MEMORY = 3 << 30
+"""Memory [bytes] of a test process above which it drops its compiled programs."""
+
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Files with long tests first, and the longest at once: the last file of a parallel run is then a short one."""
     long = {item.path for item in items if item.get_closest_marker("slow")}
     place = {name: k for k, name in enumerate(LONGEST)}
     items.sort(key=lambda item: (item.path not in long, place.get(item.path.stem, len(place))))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _programs_that_others_left() -> Iterator[None]:
+    """Drop all compiled programs where they fill `MOST_MEMORY`: no file of tests needs those of the one before."""
+    yield
+    statm = Path("/proc/self/statm")
+    if statm.is_file() and int(statm.read_text().split()[1]) * resource.getpagesize() > MOST_MEMORY:
+        jax.clear_caches()
+        gc.collect()
 
 
 @pytest.fixture(scope="session")

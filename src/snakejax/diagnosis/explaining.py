@@ -20,6 +20,7 @@ from snakejax.estimation.joint_logs.fitting import (
     with_log_noise,
 )
 from snakejax.estimation.joint_logs.log_noise import is_noisy
+from snakejax.estimation.problem import Solution
 from snakejax.recording.run import Case, Noise
 
 from .diagnosing import BaseDiagnosis, DiagnosisOptions, diagnose_base, start_of
@@ -74,6 +75,13 @@ def explain(
     show_now = no_progress if logged else show
     diagnosis = diagnose_base(case, noise, library, **question)
     show_now(diagnosis.base.record)
+    # Clocks of short windows are too coarse to tell whether one effect leaves only noise.
+    for _ in range(diagnosis.base.candidate_set.criteria.log_clock_rounds if logged else 0):
+        improved = _with_logs_of(case, *_nearest(diagnosis), progress)
+        if improved is None:
+            break
+        case = improved
+        diagnosis = diagnose_base(case, noise, library, **question)
     if not _one_effect_explains(diagnosis):
         found = _when_no_model_is_exact(case, noise, diagnosis, progress)
         if found is not None:
@@ -82,7 +90,8 @@ def explain(
             return found
     working_steps = [diagnosis.base, *_steps_beyond_base(diagnosis, progress, show_now)]
     for _ in range(diagnosis.base.candidate_set.criteria.log_clock_rounds if logged else 0):
-        improved = _with_logs_of(case, working_steps[-1], progress)
+        last = working_steps[-1]
+        improved = _with_logs_of(case, last.candidate_set, last.step.solution, progress)
         if improved is None:
             break
         case = improved
@@ -106,20 +115,32 @@ def _one_effect_explains(diagnosis: BaseDiagnosis) -> bool:
     base = diagnosis.base
     if consistent_with_noise(base.step.solution) and not significant(base.ranking, base.candidate_set.criteria):
         return True
-    switched = () if diagnosis.switched is None else (diagnosis.switched[1].solution,)
-    refits = (row.refit for row in base.ranking if row.refit is not None and not row.failed)
-    return any(consistent_with_noise(fit) for fit in (*refits, *switched))
+    return any(consistent_with_noise(fit) for _, fit in _with_one_effect(diagnosis))
 
 
-def _with_logs_of(case: Case, last: WorkingStep, progress: Progress) -> Case | None:
-    """`case` with the clocks of joint logs, and what their noise does, as the `last` model has them; None where it is
-    too far off to tell, or nothing changes.
+def _with_one_effect(diagnosis: BaseDiagnosis) -> list[tuple[CandidateSet, Solution]]:
+    """The models of the base and one effect, each with the candidates that it is one of."""
+    base = diagnosis.base
+    switched = [] if diagnosis.switched is None else [(diagnosis.switched[0], diagnosis.switched[1].solution)]
+    refits = [row.refit for row in base.ranking if row.refit is not None and not row.failed]
+    return [*((base.candidate_set, fit) for fit in refits), *switched]
+
+
+def _nearest(diagnosis: BaseDiagnosis) -> tuple[CandidateSet, Solution]:
+    """Of the base and the models of it and one effect, the one that leaves least."""
+    base = (diagnosis.base.candidate_set, diagnosis.base.step.solution)
+    return min((base, *_with_one_effect(diagnosis)), key=lambda one: one[1].misfit)
+
+
+def _with_logs_of(case: Case, candidate_set: CandidateSet, solution: Solution, progress: Progress) -> Case | None:
+    """`case` with the clocks of joint logs, and what their noise does, as a model has them at its `solution`; None
+    where it is too far off to tell, or nothing changes.
     """
     free = any(free_clocks(run) for run in case.runs)
     noisy = any(is_noisy(run.gait) and run.wander is None for run in case.runs)
-    if not (free or noisy) or not last.step.solution.misfit < last.candidate_set.criteria.far_misfit:
+    if not (free or noisy) or not solution.misfit < candidate_set.criteria.far_misfit:
         return None
-    fit = fit_workspace(last.candidate_set.problem, last.step.solution)
+    fit = fit_workspace(candidate_set.problem, solution)
     if free:
         try:
             fit = with_aligned_logs(fit, fit.problem.threshold, progress)
