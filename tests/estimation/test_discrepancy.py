@@ -3,14 +3,18 @@
 from functools import cache
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.small_case import small
 from scipy import optimize, stats
+from scipy.integrate import solve_ivp
 
 from snakejax import Accuracy, Model, Pacejka, simulate
+from snakejax.core.parameter import with_parameters
 from snakejax.effects import GroundSlope
+from snakejax.estimation.discrepancy import segments as segments_module
 from snakejax.estimation.discrepancy.kalman import (
     Discrepancy,
     SegmentData,
@@ -260,6 +264,43 @@ def test_segments_are_pieces_of_the_simulation_and_their_derivatives_its_slopes(
     move[-1] = 1e-4  # a yaw moment
     up, down = (s.linearise(values, z + sign * move) for sign in (1, -1))
     np.testing.assert_allclose((up.end - down.end) / 2e-4, at.end_z[..., -1], rtol=1e-4, atol=1e-5)
+
+
+def end_of_segment(k: int, values: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """The end state (6,) of segment `k` by scipy's LSODA."""
+    s = segments()
+    run = s.runs[s.cut.run[k]]
+    model = with_parameters(s.model, dict(zip(NAMES, map(jnp.asarray, values), strict=True)))
+    gait = model.prepared(run.gait)
+    steered = model.start((0.0, 0.0, 0.0))[1]
+    rates = jax.jit(lambda t, y: jnp.stack(model.rates(t, (tuple(y), steered), gait)[0]))
+    span = (s.cut.times[k][0], s.cut.times[k][-1])
+    done = solve_ivp(lambda t, y: np.asarray(rates(t, y)), span, start[:BODY], "LSODA", rtol=1e-9, atol=1e-11)
+    return done.y[:, -1]
+
+
+STIFF = np.array([9.0, 0.0, 7.0])
+
+
+def test_steps_follow_the_values() -> None:
+    """Segments made with a soft tyre are integrated with one ten times as stiff."""
+    s = segments()
+    z = s.guess()
+    at = s.linearise(STIFF, z)
+    for k in range(1, 6):
+        np.testing.assert_allclose(at.end[k], end_of_segment(k, STIFF, z[k]), atol=1e-6)
+
+
+def test_steps_that_are_too_long_show_in_the_growth_of_the_velocities(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(segments_module, "STABLE", 20.0)
+    s, stiff = segments(), np.array([200.0, 0.0, 7.0])
+    z = s.guess()
+    at = s.linearise(stiff, z)
+    every = np.arange(len(z))
+    unstable = s._growth(s._with_steps(stiff, z, every, s._substeps(stiff))) > segments_module.GROWN
+    assert unstable.sum() >= 3
+    for k in every[unstable][:3]:
+        np.testing.assert_allclose(at.end[k], end_of_segment(k, stiff, z[k]), atol=1e-6)
 
 
 @pytest.mark.slow

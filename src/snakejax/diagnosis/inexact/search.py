@@ -154,7 +154,7 @@ class Search(NamedTuple):
     def parts(self) -> tuple:
         """All on which the result of a fit depends beside its start."""
         own = self.segments
-        segments = (own.model, own.names, own.domains, own.multiplicative, own.cut, own.inputs, own.smoothed, own.sub)
+        segments = (own.model, own.names, own.domains, own.multiplicative, own.cut, own.inputs, own.smoothed)
         return segments, self.model, self.scales, self.criteria, dict(self.trials)
 
     def begin(self) -> Point:

@@ -40,9 +40,14 @@ CHUNK = 16
 """Segments that are integrated side by side; one compiled program serves every recording."""
 LARGEST_STEP = 2.5e-3
 """Largest step [s] of the Runge-Kutta method of order 4: its error is then below 1e-7 m over a segment."""
-STABLE = 1.5
-"""Largest product of step and fastest rate of decay. The method is stable up to 2.78; the remainder is a margin for
-parameters that move during a fit."""
+STABLE = 1.0
+"""Largest product of step and fastest rate of decay at the samples. The method is stable up to 2.78; the remainder is a
+margin for slower wheels, whose slip decays faster, between two samples."""
+GROWN, RESOLVED = 3.0, 0.1
+"""Where a start velocity grows by more than the first factor over a segment, in standard deviations of the velocities,
+its steps are halved until the factor changes by less than the second share: the method may have been unstable."""
+HALVINGS = 5
+"""So many times, at most."""
 NODES, WEIGHTS = np.array([0.0, 0.5, 0.5, 1.0]), np.array([1.0, 2.0, 2.0, 1.0]) / 6.0
 """The classical Runge-Kutta method of order 4: a stage begins at the slope of the one before it."""
 MOST_STEPS = 4096
@@ -186,8 +191,9 @@ def _linearised(model: Model, names, multiplicative, values, sub, segments, z):
 
 
 @eqx.filter_jit
-def _fastest_decay(model: Model, segments, states):
+def _fastest_decay(model: Model, names, values, segments, states):
     """The largest |d(rate of a velocity) / d(the same velocity)| in each segment, (S,) [1/s]."""
+    model = with_parameters(model, {name: values[k] for k, name in enumerate(names)})
 
     def one(segment, states):
         gait, times, _, _, payload = segment
@@ -230,7 +236,6 @@ class Segments:
         self.inputs: tuple = (each, cut.times, cut.rest, cut.begins, cut.payload)
         states = [initial_states(model, run) for run in runs]
         self.smoothed = self._by_segment(states)
-        self.sub = self._substeps(model)
 
     def beside(self, values: np.ndarray, **effect: Effect) -> "Segments":
         """The same segments at the parameters `values`, whose movable parameters are those of one more effect."""
@@ -253,9 +258,10 @@ class Segments:
             parts.append(filled.reshape(-1, n, state.shape[1]))
         return np.concatenate(parts)
 
-    def _substeps(self, model: Model) -> np.ndarray:
-        """Steps between two samples (S,), so many that the integration is stable, see `STABLE`."""
-        rate = np.asarray(_fastest_decay(model, jax.tree.map(jnp.asarray, self.inputs), jnp.asarray(self.smoothed)))
+    def _substeps(self, values: np.ndarray) -> np.ndarray:
+        """Steps between two samples (S,), so many that the integration is stable at the `values`, see `STABLE`."""
+        segments, states = jax.tree.map(jnp.asarray, self.inputs), jnp.asarray(self.smoothed)
+        rate = np.asarray(_fastest_decay(self.model, self.names, jnp.asarray(values), segments, states))
         if not np.isfinite(rate).all():
             raise FitError("The motion of the recording gives a rate of change that is not finite; check its outliers.")
         frame = np.diff(self.cut.times, axis=1).max(axis=1)
@@ -290,27 +296,57 @@ class Segments:
         return z
 
     def linearise(self, values: np.ndarray, z: np.ndarray) -> LinearisedSegments:
-        """Poses and end states at the parameters `values` (P,) and start states `z` (S, nz), with derivatives."""
-        S, n = self.cut.pose.shape[:2]
-        P, nz = len(self.names), z.shape[1]
+        """Poses and end states at the parameters `values` (P,) and start states `z` (S, nz), with derivatives.
+
+        Steps are as short as `values` need; those of a segment whose velocities grow are halved, see `GROWN`.
+        """
+        every = np.arange(len(self.cut.run))
+        sub = self._substeps(values)
+        found = self._with_steps(values, z, every, sub)
+        growth = self._growth(found)
+        doubtful = every[~(growth < GROWN)]
+        for _ in range(HALVINGS):
+            if not doubtful.size:
+                break
+            sub[doubtful] *= 2
+            finer = self._with_steps(values, z, doubtful, sub)
+            before, growth[doubtful] = growth[doubtful], self._growth(finer)
+            for whole, part in zip(found, finer, strict=True):
+                whole[doubtful] = part
+            with np.errstate(invalid="ignore"):
+                same = np.abs(growth[doubtful] - before) < RESOLVED * growth[doubtful]
+            doubtful = doubtful[~same]
+        return found
+
+    def _growth(self, found: LinearisedSegments) -> np.ndarray:
+        """The largest derivative (S,) of a velocity at the end of a segment by one at its start, both in standard
+        deviations of the recorded velocities; infinite where a number is not finite."""
+        size = self.smoothed[..., 3:BODY].std(axis=(0, 1))
+        size = np.where(size > 0, size, 1.0)
+        largest = np.abs(found.end_z[:, 3:BODY, 3:BODY] * (size / size[:, None])).max(axis=(1, 2))
+        finite = np.all([np.isfinite(part.reshape(len(part), -1)).all(axis=1) for part in found], axis=0)
+        return np.where(finite, largest, np.inf)
+
+    def _with_steps(
+        self, values: np.ndarray, z: np.ndarray, numbers: np.ndarray, steps: np.ndarray
+    ) -> LinearisedSegments:
+        """`linearise` of the segments with these `numbers`, with `steps` (S,) between two samples."""
+        (S, n), P, nz = (len(numbers), self.cut.pose.shape[1]), len(self.names), z.shape[1]
         pose, end = np.zeros((S, n, 3)), np.zeros((S, nz - FORCE))
         d_pose, d_end = np.zeros((S, n, 3, P + nz)), np.zeros((S, nz - FORCE, P + nz))
-        point = jnp.asarray(values, jnp.float64)
+        point, steps = jnp.asarray(values, jnp.float64), steps[numbers]
 
         def fill(part: np.ndarray) -> None:
-            padded = np.concatenate([part, np.repeat(part[-1:], CHUNK - len(part))])
+            padded = numbers[np.concatenate([part, np.repeat(part[-1:], CHUNK - len(part))])]
             segments, start = jax.tree.map(lambda leaf: jnp.asarray(leaf[padded]), (self.inputs, z))
-            sub = jnp.asarray(self.sub[part].max())
+            sub = jnp.asarray(steps[part].max())
             done = _linearised(self.model, self.names, self.multiplicative, point, sub, segments, start)
             for target, found in zip(((pose, end), (d_pose, d_end)), done, strict=True):
                 for whole, values_ in zip(target, found, strict=True):
                     whole[part] = np.asarray(values_)[: len(part)]
 
+        # Segments with nearly equal steps stand in one chunk.
+        order = np.argsort(steps, kind="stable")
         with ThreadPoolExecutor(min(2, cores())) as pool:
-            list(pool.map(fill, self._chunks()))
+            list(pool.map(fill, [order[k : k + CHUNK] for k in range(0, S, CHUNK)]))
         return LinearisedSegments(pose, end, d_pose[..., :P], d_pose[..., P:], d_end[..., :P], d_end[..., P:])
-
-    def _chunks(self) -> list[np.ndarray]:
-        """The numbers of segments with nearly equal steps, in chunks."""
-        order = np.argsort(self.sub, kind="stable")
-        return [order[k : k + CHUNK] for k in range(0, len(order), CHUNK)]
