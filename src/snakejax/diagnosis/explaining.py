@@ -193,7 +193,8 @@ def _when_no_model_is_exact(
         return None
     if found.inside("train") < criteria.least_inside:
         return None
-    steps = (diagnosis.base.record, *steps_of(found))
+    base = None if diagnosis.switched else diagnosis.base.step.solution
+    steps = (diagnosis.base.record, *steps_of(found, base))
     return explanation_of(case, noise, found, criteria, steps) if _lower_error(steps) else None
 
 
