@@ -24,6 +24,7 @@ def site(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_site_shows_the_error_falling_first(site: Path) -> None:
     text = (site / "index.html").read_text(encoding="utf-8")
     first = re.search(r'<img[^>]* src="([^"]+)"', text)

@@ -147,6 +147,7 @@ def test_imports_are_found(text: str, modules: set[str]) -> None:
     assert inside(imported(text, ("snakejax", "dynamics"))) == modules
 
 
+@pytest.mark.slow
 def test_import_is_silent_and_sets_no_flag() -> None:
     script = (
         "import importlib, pkgutil, sys\n"

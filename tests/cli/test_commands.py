@@ -115,6 +115,7 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
@@ -221,6 +222,7 @@ def test_new_then_check(say, tmp_path: Path) -> None:
     assert [run["run"] for run in found["runs"]] == ["train-1", "heldout-1"]
 
 
+@pytest.mark.slow
 def test_paper_rotate_turns_as_published(say, tmp_path: Path) -> None:
     """P1: an independent integration gives 0.916 rad under Table II and 1.003 rad under Rayleigh with k_s = 9."""
     said = say("simulate", "paper-rotate", "--csv", tmp_path, "--quiet")
@@ -269,6 +271,7 @@ def fitted(say, short: Path, tmp_path: Path) -> tuple[dict, Path]:
     return json.loads(path.read_text()), path
 
 
+@pytest.mark.slow
 def test_fit_writes_what_the_contract_says(fitted: tuple[dict, Path]) -> None:
     found, _ = fitted
     head = {"schema", "case", "model", "skid", "noise", "provenance"}
@@ -349,6 +352,7 @@ def test_fit_finds_the_answer(fitted: tuple[dict, Path]) -> None:
     assert found["base"]["misfit"]["heldout"] == pytest.approx(1, abs=0.15)
 
 
+@pytest.mark.slow
 def test_a_saved_fit_is_simulated(say, fitted: tuple[dict, Path], short: Path, tmp_path: Path) -> None:
     found, path = fitted
     said = say("simulate", short, "--from", path, "--csv", tmp_path / "csv", "--json", "-")
@@ -359,6 +363,7 @@ def test_a_saved_fit_is_simulated(say, fitted: tuple[dict, Path], short: Path, t
     assert len(rows) == 402
 
 
+@pytest.mark.slow
 def test_compare_says_where_it_fails(say, short: Path, tmp_path: Path) -> None:
     said = say("compare", short, "--set", "B=7.589,C=1.515,E=-0.122", "--json", tmp_path / "c.json")
     assert said.status == 0
@@ -498,6 +503,7 @@ def test_sweep_over_two_parameters_and_over_a_table(say, tmp_path):
     assert np.shape(json.loads(said.out)["mismatch"]) == (2, 2)
 
 
+@pytest.mark.slow
 def test_the_sweep_of_a_board_that_none_follows_says_where_it_ends(say):
     said = say("sweep", "paper-rotate", "--model", "ideal", "--vary", "mass=6:8:2", "--json", "-", "--quiet")
     assert said.status == 0 and said.err == ""

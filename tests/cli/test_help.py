@@ -86,6 +86,7 @@ def test_every_command_with_cases_says_so_in_groups() -> None:
         assert "output" in titles and (name == "check" or "model" in titles)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("word", ["--with", "--effect"])
 def test_both_spellings_put_an_effect_into_the_model(word: str, tmp_path, capsys) -> None:
     values = "B=7.6,C=1.5,D=8.5,E=-0.1"
@@ -97,6 +98,7 @@ def test_both_spellings_put_an_effect_into_the_model(word: str, tmp_path, capsys
     assert found["provenance"]["options"]["with"] == ["ground_slope:sx=0.01,sy=0"]
 
 
+@pytest.mark.slow
 def test_results_of_two_commands_stay_side_by_side(tmp_path, capsys) -> None:
     values = ["--set", "B=7.6,C=1.5,D=8.5,E=-0.1"]
     assert main(["simulate", "paper-forward", *values, "--out", str(tmp_path), "--quiet"]) == 0

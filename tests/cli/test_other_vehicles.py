@@ -38,6 +38,7 @@ def car(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_case(tmp_path_factory.mktemp("cases") / "car", "car", {**DART, **TRUE}, truth, runs)
 
 
+@pytest.mark.slow
 def test_a_car_with_its_true_values_leaves_noise(car: Path, tmp_path: Path) -> None:
     """Commands held between samples, a lag, tyres by axle, and a held-out run that begins in motion."""
     values = ",".join(f"{name}={value}" for name, value in TYRES.items())
@@ -55,6 +56,7 @@ def test_a_car_with_its_true_values_leaves_noise(car: Path, tmp_path: Path) -> N
     assert stated["effects.steering_lag.tau"] == 0.1
 
 
+@pytest.mark.slow
 def test_saved_models_of_a_car_are_judged_by_what_they_predict(car: Path, tmp_path: Path) -> None:
     """The true model is off by a few times the noise; a file of `simulate` holds one model: base and final are it."""
     values = ",".join(f"{name}={value}" for name, value in TYRES.items())

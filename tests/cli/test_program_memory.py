@@ -5,6 +5,7 @@ from typing import Any
 
 import jax
 import numpy as np
+import pytest
 from helpers.folders import DATA
 
 from snakejax.cli import explain, main, pipeline
@@ -19,6 +20,7 @@ def live_programs() -> int:
     return len(jax.devices()[0].client.live_executables())
 
 
+@pytest.mark.slow
 def test_explain_drops_the_programs_of_cases_that_are_done(monkeypatch) -> None:
     doubled = jax.jit(lambda values: values + values)
     at_start: list[int] = []

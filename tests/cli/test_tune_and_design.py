@@ -78,6 +78,7 @@ def test_the_board_carries_what_the_first_run_does_or_what_is_asked(told, option
     assert json.loads(text) == found if said is None else said in " ".join(text.split())
 
 
+@pytest.mark.slow
 def test_a_payload_is_said_where_any_run_has_one(case) -> None:
     read = load_case(case)
     assert gait_options.carried((0.0, 0.0), read) == ((0.0, 0.0), ", carrying nothing")

@@ -41,6 +41,7 @@ def written(folder: Path, *words: str) -> tuple[Path, np.ndarray]:
     return path, np.array([end["x_m"], end["y_m"], end["heading_rad"]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", [(), ("--with", "ground_slope:sx=0.01,sy=-0.005"), ("--skid", "coupled")])
 def test_a_written_model_gives_the_same_simulation(words: tuple[str, ...], tmp_path: Path) -> None:
     path, end = written(tmp_path, *words)
@@ -50,6 +51,7 @@ def test_a_written_model_gives_the_same_simulation(words: tuple[str, ...], tmp_p
     assert ("ground_slope" in model.effects) is ("--with" in words)
 
 
+@pytest.mark.slow
 def test_an_effect_of_ones_own_is_given_again(tmp_path: Path) -> None:
     own = tmp_path / "mine.py"
     own.write_text(OWN, encoding="utf-8")
@@ -77,6 +79,7 @@ def test_the_final_model_of_an_explanation_is_loaded(tmp_path: Path) -> None:
     assert (float(model.effects["ground_slope"].sx), float(model.board.mass)) == (0.01, 7.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "expected"),
     [

@@ -62,6 +62,7 @@ def fitted(short: Path) -> sj.Fit:
         return sj.fit(str(short), **GIVEN)
 
 
+@pytest.mark.slow
 def test_a_fit_in_python_is_that_of_the_command(short: Path, fitted: sj.Fit, tmp_path: Path) -> None:
     path = tmp_path / "fit.json"
     assert main(["fit", str(short), *WORDS, "--json", str(path), "--quiet"]) == 0
@@ -153,6 +154,7 @@ def test_check_takes_a_folder_or_a_case(short: Path) -> None:
     assert issues and issues == sj.check(sj.load_case(short), short)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("call", "expected"),
     [

@@ -86,6 +86,7 @@ def some_gaits():
         yield Controller(**gains).driven(shape.gait(jnp.asarray(shape.guess(rng) * rng.uniform(0.5, 2.0))))
 
 
+@pytest.mark.slow
 def test_limits_hold_between_the_points_of_a_grid_too() -> None:
     """Bounds are never below a sampling a hundred times as dense, and hardly above it."""
     model = Model(BOARD, Pacejka(**TYRE), "free")
@@ -139,6 +140,7 @@ def test_a_known_gait_has_unknowns_that_make_it() -> None:
     assert shape.like(Gait(gait.phi, Logged.of([0, 1, 2, 3], [0, 1, 0, 1]))) is None
 
 
+@pytest.mark.slow
 def test_torques_do_the_work_that_the_ideal_board_gains() -> None:
     """Without friction the work of the joints is the kinetic energy (matrix M of eq. 2)."""
     model = Model(BOARD, Pacejka(**TYRE), "ideal")

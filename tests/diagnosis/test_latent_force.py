@@ -147,6 +147,7 @@ SHAPES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SHAPES)
 def test_the_starter_loads_and_is_neutral_at_its_default(name, tmp_path):
     text = effect_template(LatentForce((), ((SHAPES[name].variable, 1.0),), SHAPES[name], (9.0, 1.0), {}, False))

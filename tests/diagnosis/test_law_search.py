@@ -83,6 +83,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_the_law_that_made_the_force_comes_first(name: str) -> None:
     made, (expression, values) = CASES[name]

@@ -21,6 +21,7 @@ LAWS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LAWS)
 def test_the_file_acts_as_the_law_does(name: str, tmp_path: Path) -> None:
     expression, given = LAWS[name]

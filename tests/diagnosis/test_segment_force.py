@@ -54,6 +54,7 @@ FAMILIES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FAMILIES)
 def test_the_column_of_a_law_is_the_derivative_of_a_simulation_with_it(name: str) -> None:
     search, linear = problem()

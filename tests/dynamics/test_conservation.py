@@ -88,6 +88,7 @@ def test_work_of_the_joints_becomes_motion_and_slip(constraint, tyre):
     np.testing.assert_allclose(gained + lost, reference.joint_work[-1], rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("constraint", ["coupled", "free"])
 def test_momentum_is_conserved_without_traction(constraint):
     """D = 0: I s + J_r psi' stays as it was, and so does m v where no wheel holds the board."""
@@ -108,6 +109,7 @@ STRUCTURES = ["coupled", "free", "ideal"]
 TIMES = jnp.linspace(0.0, 10.0, 11)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("constraint", STRUCTURES)
 def test_a_run_may_start_anywhere(constraint):
     """Translating and turning the start translates and turns the run."""

@@ -46,6 +46,7 @@ class Shake(LateralForce):
         return force * (1 - self.g * jnp.tanh((motion.rotor.rate / 4) ** 2) + 0.2 * wheel.lateral)
 
 
+@pytest.mark.slow
 def test_a_law_of_a_force_acts_as_the_effect_written_by_hand() -> None:
     units, values = {"k": "N/m", "x0": "m", "c": "N m s"}, {"k": 0.5, "x0": 0.5, "c": 0.1}
     formula = law("east = k * (x0 - x); north = k * (0.8 - y); N = c * r", units, values)
@@ -53,6 +54,7 @@ def test_a_law_of_a_force_acts_as_the_effect_written_by_hand() -> None:
     assert not np.allclose(driven(formula), driven(Spring(0.4)), rtol=0, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_law_of_the_grip_acts_as_the_effect_written_by_hand() -> None:
     text = "grip = 1 - g * tanh((rotor_rate / 4) ** 2) + 0.2 * slip_speed"
     assert np.allclose(driven(law(text, {"g": "-"}, {"g": 0.4})), driven(Shake(0.4)), rtol=0, atol=1e-9)

@@ -183,6 +183,7 @@ def test_refusals_and_their_reasons(name: str) -> None:
 # --- Properties of every effect --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @each_skid
 def test_all_neutral_is_all_absent_over_a_run(constraint: str) -> None:
     np.testing.assert_allclose(untouched(constraint), poses(bare(constraint)), rtol=0, atol=1e-12)
@@ -221,6 +222,7 @@ def _jacobians(model: Model, names: tuple[str, ...], values, gait: Gait, start):
     return jax.jacfwd(run, argnums=(0, 1))(values, start)
 
 
+@pytest.mark.slow
 @each_skid
 def test_gradients_at_rest_are_finite(constraint: str) -> None:
     """For every parameter and the start: all neutral, each effect at its strength, and with joints that stay still."""
@@ -515,6 +517,7 @@ COASTING = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("expected", SIGNS, ids=lambda e: f"{e.name} {e.values}")
 def test_sign(expected: Expected) -> None:
     for constraint in expected.skids:
@@ -736,6 +739,7 @@ class Spring(Force):
         return X, Y, jnp.zeros_like(X)
 
 
+@pytest.mark.slow
 def test_an_effect_of_ones_own() -> None:
     """On a frictionless board it swings: position = nail + cos(sqrt(k / m) t) (start - nail)."""
     model = Model(BOARD, no_traction(), "free").add(band=Spring(k=20.0, x=0.5, y=-0.1))

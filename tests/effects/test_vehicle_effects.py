@@ -91,6 +91,7 @@ def moved_by_each(kind: str, structure: str) -> dict[str, np.ndarray]:
     return dict(zip(["", *able], found - rates(model, kind), strict=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("structure", ["free", "ideal"])
 @every_pair
 def test_it_acts_or_refuses(kind: str, name: str, structure: str) -> None:

@@ -219,6 +219,7 @@ def segments() -> Segments:
     return Segments(model, case.runs, NAMES)
 
 
+@pytest.mark.slow
 def test_segments_hold_every_sample_once() -> None:
     cut = segments().cut
     for k, run in enumerate(segments().runs):
@@ -242,6 +243,7 @@ def simulated_states() -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate([z, np.zeros((len(z), FORCE))], axis=1), np.asarray(done.pose)
 
 
+@pytest.mark.slow
 def test_segments_are_pieces_of_the_simulation_and_their_derivatives_its_slopes() -> None:
     s = segments()
     z, pose = simulated_states()
@@ -291,6 +293,7 @@ def test_steps_follow_the_values() -> None:
         np.testing.assert_allclose(at.end[k], end_of_segment(k, STIFF, z[k]), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_steps_that_are_too_long_show_in_the_growth_of_the_velocities(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(segments_module, "STABLE", 20.0)
     s, stiff = segments(), np.array([200.0, 0.0, 7.0])
@@ -344,6 +347,7 @@ def drawn(at: LinearisedSegments, s: Segments, truth: Discrepancy, rng: np.rando
     return deviation
 
 
+@pytest.mark.slow
 def test_scales_are_those_of_the_motion() -> None:
     scales = scales_of(segments(), np.array([4e-4, 4e-4, 2.5e-3]))
     z, _ = simulated_states()

@@ -145,6 +145,7 @@ def test_profile_agrees_with_a_standard_error_where_all_is_determined(design):
     np.testing.assert_allclose(profile(found, "tyre.D"), expected, atol=0.1 * (expected[1] - expected[0]) / 2)
 
 
+@pytest.mark.slow
 def test_a_parameter_on_its_bound_is_said_to_be(design):
     """A tyre with C = 2, the end of its domain: noise drives half of the fits against it, and none beyond."""
     truth = {**TRUTH, "tyre.C": 2.0}
@@ -286,6 +287,7 @@ def test_a_parameter_that_moves_nothing_is_named(design):
         fit_problem(idle, ["tyre.B", "tyre.C"])
 
 
+@pytest.mark.slow
 def test_an_ideal_board_has_no_tyre_to_fit(design):
     ideal = Model(BOARD, no_traction(), "ideal")
     with pytest.raises(FitError, match=r"`tyre\.D` moves nothing"):

@@ -35,6 +35,7 @@ def recording(times: np.ndarray, pose: np.ndarray, gait: Inputs, group: str | No
     return Run("lap", "heldout", jnp.asarray(times), jnp.asarray(pose), gait, moving=True, group=group)
 
 
+@pytest.mark.slow
 def test_the_true_model_predicts_to_near_the_noise() -> None:
     tyre = FrontRear(Pacejka(6.0, 1.4, 6.0, 0.1), Pacejka(8.0, 1.4, 5.5, 0.1))
     truth = Model(Car(**DART, steering_ratio=0.45, force_gain=22.0, dead_band=0.05, speed_loss=2.0), tyre, "free")
@@ -59,6 +60,7 @@ def circle(times: np.ndarray, speed: float, rate: float) -> np.ndarray:
     return np.column_stack([speed / rate * np.sin(heading), speed / rate * (1 - np.cos(heading)), heading])
 
 
+@pytest.mark.slow
 def test_a_car_without_slip_that_coasts_is_off_by_what_one_computes_by_hand() -> None:
     """It rolls on at its speed in a circle of curvature tan(delta) / l; the recording turns twice as fast."""
     steer, speed = 0.3, 1.2

@@ -52,6 +52,7 @@ def test_the_table_of_a_result_is_a_dataset_too() -> None:
     assert list(data.parameter.values) == ["tyre.D"] and float(data.value[0]) == fit.estimates["tyre.D"].value
 
 
+@pytest.mark.slow
 def test_samples_of_a_fit_are_inference_data() -> None:
     pytest.importorskip("arviz", reason="ArviZ is not installed.")
     _, _, fit = small()

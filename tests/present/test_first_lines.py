@@ -99,6 +99,7 @@ def off(found: Fit, noise: Noise) -> tuple[float, float, float]:
     return float(position), float(np.sqrt(np.mean(left[:, 2] ** 2))), float(whole)
 
 
+@pytest.mark.slow
 def test_an_error_of_ten_times_the_noise_is_called_so(tenfold) -> None:
     """Terminal and report tell root mean squares, as counted from the poses themselves."""
     noise, found = tenfold

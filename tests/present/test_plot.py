@@ -141,6 +141,7 @@ def test_the_base_and_the_first_steps_differ_without_colour() -> None:
     assert {step_style(step).dash for step in range(len(DASHES) + 1)} == set(MATPLOTLIB) == set(STROKES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("given", [True, False])
 def test_the_base_and_the_last_step_differ_in_the_figure_of_the_fall(given: bool) -> None:
     """Whether the models are given or replayed by the figure itself."""
@@ -199,6 +200,7 @@ def _cut(scene, samples: int):
     return scene._replace(track=track, joints=joints, **{part: getattr(scene, part)[:samples] for part in parts})
 
 
+@pytest.mark.slow
 def test_a_simulated_run_is_a_scene_too() -> None:
     """The same poses as `replay` gives, and residuals in metres and radians."""
     case, _, found = small()
@@ -221,6 +223,7 @@ def test_a_dollar_in_the_name_of_a_run_is_drawn_as_it_is(name, tmp_path) -> None
     assert f"{name} (held out)" in words
 
 
+@pytest.mark.slow
 def test_a_car_is_drawn_with_its_wheels_where_the_model_has_them() -> None:
     """Two front wheels at R(heading) (front, +-0.6 length), turned by heading and steering angle."""
     car = Car(mass=1.6, inertia=0.008, front=0.08, rear=0.09)

@@ -26,6 +26,7 @@ def nasty() -> tuple[Case, Noise, Fit]:
     return small(NASTY, (NASTY_RUN, NASTY), NASTY)
 
 
+@pytest.mark.slow
 def test_names_from_files_are_shown_as_text(nasty, browser, tmp_path) -> None:
     case, noise, found = nasty
     result = fit_json(case, noise, found, provenance_json(0, {"effect": [NASTY]}, case.sha256))
@@ -82,6 +83,7 @@ def test_the_story_of_what_nothing_known_explains(browser, tmp_path) -> None:
     assert page.evaluate(beyond) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("phone", "buttons"), [(True, False), (False, True)])
 def test_the_buttons_of_a_chart_do_not_lie_on_a_phone(browser, tmp_path, phone, buttons) -> None:
     """Where there is no mouse they would always be there, over the data; in print they never are."""

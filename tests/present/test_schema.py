@@ -79,6 +79,7 @@ def wrong(command: str, found: Any) -> list[str]:
     return [f"{'/'.join(map(str, error.absolute_path))}: {error.message[:300]}" for error in errors]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "arguments"),
     [

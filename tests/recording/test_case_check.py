@@ -52,6 +52,7 @@ OTHER = run("heldout-1", "heldout", 2, amplitude=0.6)
 CLEAN = case(run(), run("train-2", "train", 1, amplitude=0.5), OTHER)
 
 
+@pytest.mark.slow
 def test_a_clean_case():
     assert check(CLEAN) == []
 
@@ -139,6 +140,7 @@ FAULTS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("fault", "said"), FAULTS, ids=lambda value: getattr(value, "__name__", ""))
 def test_fault(fault, said):
     assert any(said in what for what in doubts(fault)), doubts(fault)

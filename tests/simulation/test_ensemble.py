@@ -38,6 +38,7 @@ EFFECTS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("constraint", "effects"),
     [("coupled", "memory, sensor clock and force"), ("free", "memory, sensor clock and force"), ("ideal", "none")],
@@ -53,6 +54,7 @@ def test_lanes_agree_with_diffrax(constraint, effects) -> None:
     np.testing.assert_allclose(found, one_by_one(models, example.gait, times, start), rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_number_of_lanes_and_threads_changes_no_bit() -> None:
     example = preset("paper-rotate")
     models = scattered(example.model, CHUNK + BLOCK + 3)
@@ -64,6 +66,7 @@ def test_the_number_of_lanes_and_threads_changes_no_bit() -> None:
     np.testing.assert_array_equal(all_[CHUNK:], few)
 
 
+@pytest.mark.slow
 def test_each_lane_can_have_a_gait_of_its_own() -> None:
     slow, fast = preset("paper-rotate"), preset("paper-forward")
     gaits = jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]), slow.gait, fast.gait)
@@ -73,6 +76,7 @@ def test_each_lane_can_have_a_gait_of_its_own() -> None:
         np.testing.assert_array_equal(pose, simulate_many(stacked([slow.model]), gait, times)[0])
 
 
+@pytest.mark.slow
 def test_a_lane_that_gives_up_is_infinite_and_harms_no_other() -> None:
     example = preset("paper-rotate")
     models = with_parameters(stacked([example.model] * 2), {"tyre.D": jnp.array([1.0, 1e9])})

@@ -20,6 +20,7 @@ from snakejax.vehicles.snakeboard.board import TABLE_II, Board
 STRUCTURES = ["coupled", "free", "ideal"]
 
 
+@pytest.mark.slow
 def test_a_long_recording_may_take_more_steps():
     """What is asked for at 1000 times is not refused for the limit of a run of a few samples."""
     model, gait = table_2(PACEJKA, "free"), gait_of(full.FORWARD)

@@ -10,6 +10,7 @@ from snakejax.effects import BodyDrag
 SHARP = Accuracy(rtol=1e-9, atol=1e-11)
 
 
+@pytest.mark.slow
 def test_a_grid_has_an_axis_for_each_parameter_and_the_poses_of_single_runs() -> None:
     example = preset("paper-rotate")
     model = example.model.add(body_drag=BodyDrag())
@@ -25,6 +26,7 @@ def test_a_grid_has_an_axis_for_each_parameter_and_the_poses_of_single_runs() ->
             np.testing.assert_allclose(np.stack([here.x, here.y, here.heading], axis=1), alone, atol=2e-6)
 
 
+@pytest.mark.slow
 def test_a_table_has_one_row_for_each_board() -> None:
     example = preset("paper-rotate")
     rows = table({"tyre.D": [0.5, 1.0], "board.mass": [6.0, 7.0]})

@@ -60,6 +60,7 @@ def test_where_no_k_s_fits_the_polynomial_keeps_to_the_longest_stretch() -> None
     assert polynomial(x, np.where(x < 5, k_s, np.nan)) is None
 
 
+@pytest.mark.slow
 def test_a_board_that_no_rayleigh_board_follows_has_no_k_s_but_a_mismatch() -> None:
     """Claim P9. A board without traction slides, which no k_s of the grid does."""
     example = preset("paper-forward")
@@ -103,6 +104,7 @@ def test_a_constant_k_s_has_no_r_squared() -> None:
     assert polynomial(np.arange(7.0), 9.0 + 1e-12 * np.arange(7.0)).r_squared is None
 
 
+@pytest.mark.slow
 def test_a_board_that_cannot_be_simulated_is_told_from_one_that_none_follows(monkeypatch) -> None:
     from snakejax.simulation import rayleigh_match as _rayleigh
 

@@ -34,6 +34,7 @@ def random_model(rng: np.random.Generator, constraint: AbstractConstraint | str)
     return Model(board, tyre, constraint, effects), Gait(joint[0], joint[1], back)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("own", "general"), [("free", Slipping()), ("ideal", NonSlipping())])
 def test_the_rates_are_those_of_the_declaration(own: str, general: AbstractConstraint) -> None:
     for seed in range(20):

@@ -45,6 +45,7 @@ def test_the_sleigh_follows_its_closed_form() -> None:
     np.testing.assert_allclose(r, s * k / a / np.cosh(phase), rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_sleigh_with_a_stiff_blade_comes_near_the_one_without_slip() -> None:
     times, start = np.linspace(0.0, 2.0, 21), (0.0, 0.0, 0.0, 0.4, 0.1, 1.0)
     sleigh = Sleigh(**ICE_SLEIGH)
@@ -78,6 +79,7 @@ class SprungRacer(RollerRacer):
         return {"handle": -3.0 * joints["handle"].angle}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("constraint", ["ideal", "free"])
 def test_a_free_handlebar_keeps_the_energy(constraint: str) -> None:
     racer = SprungRacer(**{**ROLLER_RACER, "handle_mass": 0.4, "rear": 0.2})
@@ -97,6 +99,7 @@ def test_a_free_handlebar_keeps_the_energy(constraint: str) -> None:
     assert np.ptp(kinetic) > 0.05
 
 
+@pytest.mark.slow
 def test_a_racer_without_force_keeps_its_energy_and_turns_on_a_circle() -> None:
     """With the handlebar at rest at an angle the wheels' axles meet in one point, about which it turns."""
     racer, angle = RollerRacer(**{**ROLLER_RACER, "handle_mass": 0.3}), 0.5
@@ -110,6 +113,7 @@ def test_a_racer_without_force_keeps_its_energy_and_turns_on_a_circle() -> None:
     np.testing.assert_allclose(turned, 0.8 * 4.0 / radius, rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_swinging_the_handlebar_drives_the_racer() -> None:
     """Krishnaprasad and Tsakiris (2001): from rest, swings about straight drive it ahead, ever faster, and the
     speed-up is even in the amplitude: four times as large for twice the angle."""
@@ -149,6 +153,7 @@ def test_the_robots_centres_of_rotation_lie_outside_its_wheels() -> None:
     np.testing.assert_allclose((u, w), (0.0, 0.0), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_robots_centre_of_rotation_leaves_the_axle_line_when_it_turns_at_speed() -> None:
     """x = -w / r is zero without mass in motion; the tyres' sideways force that carries the robot round a bend moves
     it ahead of the middle, the further the faster (Mandow et al. 2007)."""

@@ -13,6 +13,7 @@ from snakejax.recording.case_vehicle import fields_of
 from snakejax.vehicles.registry import VEHICLES, example_values, vehicle_class
 
 
+@pytest.mark.slow
 def test_the_tutorial_runs() -> None:
     text = (ROOT / "docs" / "your-own-vehicle.md").read_text(encoding="utf-8")
     (code,) = re.findall(r"^```python\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)

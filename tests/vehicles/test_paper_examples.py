@@ -9,6 +9,7 @@ from snakejax.dynamics.model import no_traction
 from snakejax.dynamics.tyres import Rayleigh
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("constraint", "tyre", "heading"),
     [

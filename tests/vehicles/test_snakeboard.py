@@ -146,6 +146,7 @@ def test_printed_equations_do_not_depend_on_the_tyre():
     np.testing.assert_allclose(sensitivity, 0.0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_printed_equations_never_leave_their_place_from_rest():
     """theta + beta swings against the rotor, I s = -J_r psi', and nothing else happens."""
     times = jnp.linspace(0.0, 7.7, 40)
@@ -156,6 +157,7 @@ def test_printed_equations_never_leave_their_place_from_rest():
     np.testing.assert_allclose(trajectory.pose[:, 2], swing, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_stiff_rayleigh_tends_to_the_ideal_board():
     """Hard constraints are the limit of R = k_s v^2 / 2 (paper, eq. 1), with an error that falls as 1 / k_s."""
     ideal = last_pose(table_2(no_traction(), "ideal"), full.FORWARD, 5.0)

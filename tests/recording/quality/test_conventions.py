@@ -40,11 +40,13 @@ def every_case(request):
     return [load_case(folder) for folder in folders]
 
 
+@pytest.mark.slow
 def test_nothing_is_found_in_recordings_as_they_are(every_case):
     for case in every_case:
         assert not set(CONVENTIONS) & {kind for kind, *_ in said(case, case.runs)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by", TURNED)
 def test_an_axis_that_does_not_point_forward_is_found(every_case, by):
     for case in every_case:
@@ -61,6 +63,7 @@ def test_no_clock_is_blamed_for_an_axis():
     assert doubt.run is None and doubt.remedy.startswith('if so, write x_axis = "left"')
 
 
+@pytest.mark.slow
 def test_signs_taken_the_other_way_are_found(every_case):
     for case in every_case:
         assert [kind for kind, *_ in said(case, [negated(run, "psi") for run in case.runs])] == ["rotor_sign"]

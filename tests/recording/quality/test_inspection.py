@@ -80,6 +80,7 @@ def test_nothing_is_masked_where_frames_are_lost(clean):
         assert same is gappy and {f.kind for f in found} <= {"gap"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "size", "masked"), SIZES)
 def test_a_defect_is_found_where_it_is(clean, name, size, masked):
     found = lost = spoiled = bad = 0

@@ -48,6 +48,7 @@ def test_what_has_no_onset():
     assert smoothed(t, started(t, 0.1)).onset is None
 
 
+@pytest.mark.slow
 def test_a_joint_is_followed_through_its_onset():
     """100 samples a second: the rate within 3e-4 rad/s; without the kink it is ten times as far off."""
     t, fine = np.arange(-1, 4, 0.01), jnp.arange(-0.2, 1.0, 1e-3)

@@ -72,11 +72,13 @@ WRONG = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("measures", "words", "severity"), WRONG, ids=lambda value: str(value)[:40])
 def test_a_wrong_measure_is_found(measures, words, severity) -> None:
     assert said(with_board(LEVEL, **measures)) == [(f"the board moves as if {words}", severity)]
 
 
+@pytest.mark.slow
 def test_a_measure_that_is_somewhat_off_is_not_doubted() -> None:
     assert said(with_board(LEVEL, half_length=0.3)) == said(with_board(LEVEL, rotor_inertia=0.018)) == []
 
@@ -160,6 +162,7 @@ HERTZ = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("factors", "words"), HERTZ)
 def test_frequencies_in_another_unit_are_found_and_nothing_else_is_said(factors, words) -> None:
     case = paced(LEVEL, *factors)
@@ -170,6 +173,7 @@ def test_frequencies_in_another_unit_are_found_and_nothing_else_is_said(factors,
     assert [doubt.what for doubt in check(case)] == [found.what]
 
 
+@pytest.mark.slow
 def test_one_short_run_is_enough_to_tell_a_rotor_in_hertz() -> None:
     times = jnp.arange(800) / 100
     model = Model(LEVEL.board, Pacejka(8.0, 1.4, 0.1, 0.0), "free")

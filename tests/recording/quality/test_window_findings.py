@@ -35,6 +35,7 @@ def still(pose: np.ndarray) -> np.ndarray:
     return np.concatenate([pose[:3], np.repeat(pose[3:4], len(pose) - 3, axis=0)])
 
 
+@pytest.mark.slow
 def test_windows_in_which_nothing_was_measured_are_left_out(windows) -> None:
     found = inspect(changed(windows, [2, 5], still))
     left_out = [windows.runs[k].name for k in (2, 5)]
@@ -53,6 +54,7 @@ def test_most_windows_are_not_left_out(windows) -> None:
         found.require_sound()
 
 
+@pytest.mark.slow
 def test_units_are_judged_by_all_windows(windows) -> None:
     def in_millimetres(pose):
         return pose * [1e3, 1e3, 1.0]

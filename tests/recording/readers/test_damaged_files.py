@@ -205,6 +205,7 @@ def test_damaged_real_files(tmp_path, realdata, name, made):
     survives(path, FileAnnotations(columns=MAP))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REAL_C3D)
 @settings(few, max_examples=LONG or 3)
 @given(made=changes)
@@ -215,6 +216,7 @@ def test_damaged_real_c3d(tmp_path, realdata, name, made):
     survives(path)
 
 
+@pytest.mark.slow
 @settings(few, max_examples=LONG or 12)
 @given(made=changes)
 def test_damaged_c3d(tmp_path, made):
@@ -224,6 +226,7 @@ def test_damaged_c3d(tmp_path, made):
     survives(path)
 
 
+@pytest.mark.slow
 @settings(few, max_examples=LONG or 8)
 @given(made=changes)
 def test_damaged_parquet(tmp_path, made):
@@ -238,6 +241,7 @@ def test_damaged_parquet(tmp_path, made):
     survives(tmp_path / "file")
 
 
+@pytest.mark.slow
 @few
 @given(raw=st.binary(max_size=3000))
 @example(raw=b"")
@@ -297,6 +301,7 @@ def wide_files(n):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [3 * 9_999, 10**6])
 @pytest.mark.parametrize("name", wide_files(3))
 def test_very_many_columns(tmp_path, name, n):

@@ -42,6 +42,7 @@ def test_markers(tmp_path, name):
     np.testing.assert_allclose(np.stack([*capture.markers.values()], axis=1), gappy(), atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("unit", "up"), [("mm", "+Z"), ("m", "+Y")])
 def test_c3d(tmp_path, unit, up):
     pytest.importorskip("ezc3d")
@@ -452,6 +453,7 @@ def test_complaints_about_a_map(tmp_path, name):
     assert what in caught.value.what, caught.value
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grouped", ["ANGLES", "MOMENTS", "POWERS"])
 def test_outputs_of_a_model_are_no_markers(tmp_path, grouped):
     pytest.importorskip("ezc3d")
@@ -486,6 +488,7 @@ C3D_COMPLAINTS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", C3D_COMPLAINTS)
 def test_what_ezc3d_cannot_read_is_to_be_converted(tmp_path, kind):
     pytest.importorskip("ezc3d")

@@ -79,6 +79,7 @@ def bag(folder, kind):
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["ros1", "sqlite", "mcap"])
 def test_bags(tmp_path, kind):
     path = bag(tmp_path, kind)
@@ -99,6 +100,7 @@ def test_bags(tmp_path, kind):
     assert np.abs(np.diff(capture.bodies["/late"].times) - 0.01).max() > 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["ros1", "mcap"])
 def test_single_files_whatever_they_are_called(tmp_path, kind):
     path = bag(tmp_path, kind)
@@ -118,6 +120,7 @@ def test_a_bag_becomes_a_case(tmp_path):
     np.testing.assert_allclose(run.pose, EXPECTED, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_damaged_bags(tmp_path):
     for kind in ("ros1", "sqlite"):
         path = bag(tmp_path, kind)

@@ -63,6 +63,7 @@ def test_a_person_who_stands_is_taller_than_wide(tmp_path):
 SCREENS = {"+Z": "z", "-Z": "z", "+Y": "y", "-Y": "y", "+X": "x"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("screen", SCREENS)
 @pytest.mark.parametrize("below", [False, True])
 def test_of_a_c3d_the_axis_is_believed_and_the_sign_is_found(tmp_path, screen, below):
@@ -112,6 +113,7 @@ def test_where_nothing_shows_it_a_user_is_asked(tmp_path, capsys, monkeypatch):
     assert load_case(tmp_path / "case").reading == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("format", ["trc", "c3d"])
 @pytest.mark.parametrize("up", ["y", "-y"])
 def test_a_case_says_which_way_is_up(tmp_path, capsys, format, up):
@@ -141,6 +143,7 @@ def test_a_tilted_floor_seen_along_minus_y(tmp_path):
     np.testing.assert_allclose(pose[:, 2] - pose[0, 2], m.heading - m.heading[0], atol=1e-3)
 
 
+@pytest.mark.slow
 def test_real_files(realdata):
     """Heads are above feet."""
     found = read_capture(realdata / "opensim_y_up.trc")
