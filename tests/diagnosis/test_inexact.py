@@ -17,6 +17,7 @@ from snakejax.diagnosis.inexact.subsets import (
     best_subset,
     falls,
     gains,
+    left_out_deviances,
     left_out_errors,
     prune,
     substitutes,
@@ -103,13 +104,36 @@ def test_a_run_left_out_is_predicted_from_the_others() -> None:
     assert found.sum() < left_out_errors(made, runs, runs, "").sum()
 
 
+def test_a_run_left_out_has_the_density_of_what_the_others_predict() -> None:
+    """Against scipy's normal distribution of the samples of a run, made of its Gram matrix; in two blocks or whole."""
+    made, runs = problem(8, {"a": 15.0})
+    first = 0.3 * runs
+    blocks = np.stack([first, runs - first], axis=1)
+    logs = np.random.default_rng(1).normal(size=blocks.shape[:2])
+    totals = {}
+    for effects in ("", "a", "ab"):
+        found = left_out_deviances(made, blocks, logs, effects)
+        totals[effects] = found.sum()
+        for k, gram in enumerate(runs):
+            others = made.with_effects(effects, runs.sum(axis=0) - gram)
+            samples = np.linalg.cholesky(gram + 1e-9 * np.eye(len(gram))).T  # columns with this Gram matrix
+            residual = samples @ np.concatenate([[1.0], -others.step])
+            slopes = samples[:, np.array(others.free) + 1]
+            covariance = np.eye(len(samples)) + slopes @ others.covariance @ slopes.T
+            log = stats.multivariate_normal(cov=covariance).logpdf(residual)
+            expected = -2.0 * log - len(samples) * np.log(2 * np.pi) + logs[k].sum()
+            assert found[k].sum() == pytest.approx(expected, rel=1e-6)
+    assert totals["a"] < totals[""] - 100
+
+
 def test_an_effect_predicts_where_it_acts() -> None:
     made, runs = problem(7, {"a": 15.0})
 
     class Linear:
         subsets, gram = made, runs
 
-    judged = LeftOut(Linear, runs, 400)  # type: ignore[arg-type]
+    alone = (runs[:, None], np.zeros((len(runs), 1)), np.ones((len(runs), 1), bool))
+    judged = LeftOut(Linear, runs, *alone, 400)  # type: ignore[arg-type]
     assert judged.gain("ab", "a").predicts
     assert 0 < judged.gain("ab", "a").share < judged.explained_share("a") + 0.05
     assert judged.gain("ab", "b").share < 0.02

@@ -21,7 +21,8 @@ from .candidate_model import candidate_model, movable_parameters
 from .evidence import world
 from .laws import with_law
 from .left_out import with_predicting_effects
-from .search import Search, search_effects
+from .revision import search_effects
+from .search import Search
 
 
 def supports(candidate_set: CandidateSet) -> bool:

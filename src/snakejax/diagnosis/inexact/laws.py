@@ -3,7 +3,7 @@
 A random force that is as strong as the law explains the same motion, so that a law is hardly told beside the force that
 was estimated without it. It is looked for beside a weaker one, together with the known effects that show there; then
 everything is fitted anew, the random force included, and the law must be significant among all forms that were tried
-and must predict whole train runs better that were left out.
+and must predict train runs better that were left out.
 """
 
 from collections.abc import Sequence
@@ -17,14 +17,15 @@ from snakejax.dynamics.law import law_class
 from snakejax.estimation.discrepancy.segments import Segments
 from snakejax.recording.run import Case, Noise
 
-from ..law.adding import candidate_set_with, law_names, predicts_better
+from ..law.adding import candidate_set_with, law_names
 from ..law.grammar import families
 from ..law.search import ProposedLaw
 from ..law.search import search as search_laws
 from ..selection.candidates import CandidateSet
 from .candidate_model import CandidateModel, candidate_model, movable_parameters
-from .left_out import left_out, with_predicting_effects
-from .search import Linear, Point, Search, revised
+from .left_out import Gain, left_out, with_predicting_effects
+from .revision import revised
+from .search import Linear, Point, Search
 from .segment_force import force_windows
 from .subsets import choose
 
@@ -58,22 +59,25 @@ class Proposal(NamedTuple):
 
 
 class FoundLaw(NamedTuple):
-    """The law `name` in the model at `linear`, whose candidates `candidate_set` and `search` hold; `error` (R,): the
-    squared error of train runs left out."""
+    """The law `name` in the model at `linear`, whose candidates `candidate_set` and `search` hold; `deviance` (N,): -2
+    log density of train runs left out, block by block, under the noise and the random force beside the law."""
 
     name: str
     candidate_set: CandidateSet
     search: Search
     linear: Linear
-    error: np.ndarray
+    deviance: np.ndarray
 
 
 def with_law(
     case: Case, noise: Noise, candidate_set: CandidateSet, search: Search, linear: Linear, base: Sequence[str]
 ) -> FoundLaw | None:
-    """The model with the law that predicts train runs left out best; None where none predicts them better than that of
-    `linear` does, by more than its standard error, where a law of something else does as well in the segments, so that
-    other motions would tell which it is, or where there is but one run."""
+    """The model with the law that predicts train runs left out best, or None.
+
+    None where no law predicts them better than `linear` does, each under its own random force, by more than the
+    standard error; where a law of something else does as well in the segments, so that other motions would tell which
+    it is; or where there is but one run.
+    """
     if len(linear.gram) < 2:
         return None
     search.progress(ProgressEvent(Phase.LAW_SEARCH))
@@ -89,10 +93,11 @@ def with_law(
         found = _fitted(case, noise, candidate_set, search, base, one)
         if found is not None:
             fitted.append(found)
-    best = min(fitted, key=lambda found: found.error.sum(), default=None)
-    if best is None or not predicts_better(best.error, left_out(search, linear).error(linear.point.effects)):
+    best = min(fitted, key=lambda found: found.deviance.sum(), default=None)
+    if best is None:
         return None
-    return best
+    before = left_out(search, linear).deviance(linear.point.effects)
+    return best if Gain(before - best.deviance, 0.0).predicts else None
 
 
 def _fitted(
@@ -108,7 +113,7 @@ def _fitted(
     effects = linear.point.effects
     if name not in effects:
         return None
-    return FoundLaw(name, own_set, own, linear, left_out(own, linear).error(effects))
+    return FoundLaw(name, own_set, own, linear, left_out(own, linear).deviance(effects))
 
 
 def distinct(proposals: Sequence[Proposal]) -> list[Proposal]:

@@ -6,38 +6,49 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from snakejax.estimation.discrepancy.kalman import gram_matrices
+from snakejax.estimation.discrepancy.kalman import block_gram_matrices, gram_matrices
 from snakejax.estimation.discrepancy.least_squares import quadratic
 
 from .search import FINE, Linear, Search
-from .subsets import left_out_errors
+from .subsets import left_out_deviances, left_out_errors
+
+BLOCK = 8
+"""Segments of a block (2 s). What a run gains is the sum of what its blocks gain, and a few runs have enough of them to
+tell by how much that sum varies: runs are unlike, so that of four of them one may hold most of the evidence."""
 
 
 class Gain(NamedTuple):
-    """What an effect is worth on runs left out.
+    """What an effect is worth on data left out.
 
-    `by_run` (R,): the fall of chi^2 of each run against noise and random force, under the parameters of the others.
-    `share`: the fall of the squared error of whole runs, of that without any effect.
+    `by_part` (N,): the gain of each part, of which `predicts` takes the standard error. `share`: the fall of the
+    squared error of whole runs, of that without any effect.
     """
 
-    by_run: Float[np.ndarray, " R"]
+    by_part: Float[np.ndarray, " N"]
     share: float
 
     @property
     def predicts(self) -> bool:
-        """Whether the gain is above its standard error, or there is one in every run: the standard error of a few runs
-        counts how unlike they are, and alone would refuse the strongest effect."""
-        gained = self.by_run
+        """Whether the gain is above its standard error, or there is one in every part: the standard error of a few
+        parts counts how unlike they are, and alone would refuse the strongest effect."""
+        gained = self.by_part
         error = np.sqrt(len(gained)) * gained.std(ddof=1) if len(gained) > 1 else 0.0
         return bool(gained.sum() > error or (gained > 0).all())
 
 
 class LeftOut(NamedTuple):
-    """Whole runs predicted from the others: the problem is `linear`, and `judged` (R, P + 1, P + 1) are the Gram
-    matrices of whole runs without any force beside the model."""
+    """Runs predicted from the others, for the problem `linear`.
+
+    `judged` (R, P + 1, P + 1): the Gram matrices of whole runs without any force beside the model; `blocks`
+    (R, B, P + 1, P + 1) and `logs` (R, B): Gram matrices and log determinants of blocks, with noise and random force;
+    `present` (R, B): which of them have samples; `samples`: of all runs together.
+    """
 
     linear: Linear
     judged: np.ndarray
+    blocks: np.ndarray
+    logs: np.ndarray
+    present: np.ndarray
     samples: int
 
     def error(self, effects: Iterable[str]) -> np.ndarray:
@@ -48,17 +59,18 @@ class LeftOut(NamedTuple):
         return left_out_errors(self.linear.subsets, self.linear.gram, self.judged, effects)
 
     def gain(self, effects: Iterable[str], effect: str) -> Gain:
-        """What `effect` is worth beside the others of `effects`."""
+        """What `effect` is worth beside the others of `effects`: the fall of -2 log density of each block."""
         rest = [other for other in effects if other != effect]
         share = (self.error(rest) - self.error([*rest, effect])).sum() / self.error([]).sum()
-        return Gain(self._chi2(rest) - self._chi2([*rest, effect]), float(share))
+        return Gain(self.deviance(rest) - self.deviance([*rest, effect]), float(share))
 
-    def _chi2(self, effects: Iterable[str]) -> np.ndarray:
-        """chi^2 (R,) of each run against noise and random force, with `effects`."""
-        if len(self.linear.gram) < 2:
+    def deviance(self, effects: Iterable[str]) -> Float[np.ndarray, " N"]:
+        """-2 log density of each block that has samples with `effects`, as the other runs and the blocks before it
+        predict it; a single run judges itself."""
+        if len(self.blocks) < 2:
             step = self.linear.subsets.with_effects(effects).step
-            return np.array([quadratic(gram, step) for gram in self.linear.gram])
-        return left_out_errors(self.linear.subsets, self.linear.gram, self.linear.gram, effects)
+            return np.array([quadratic(gram, step) for gram in self.blocks[self.present]]) + self.logs[self.present]
+        return left_out_deviances(self.linear.subsets, self.blocks, self.logs, effects)[self.present]
 
     def explained_share(self, effects: Iterable[str]) -> float:
         """The share of the squared error that all `effects` take away."""
@@ -75,7 +87,7 @@ class LeftOut(NamedTuple):
             idle = [effect for effect in kept if not gains[effect].predicts]
             if not idle:
                 break
-            kept.remove(min(idle, key=lambda effect: gains[effect].share))
+            kept.remove(min(idle, key=lambda effect: gains[effect].by_part.sum()))
         return kept
 
 
@@ -91,4 +103,7 @@ def left_out(search: Search, linear: Linear) -> LeftOut:
     """Runs left out of the problem `linear`."""
     alone = linear.point.discrepancy.without_force(search.scales.least_force)
     judged, _ = gram_matrices(linear.data, alone)
-    return LeftOut(linear, judged, int(linear.data.present.sum()))
+    blocks, logs = block_gram_matrices(linear.data, linear.point.discrepancy, BLOCK)
+    counts = linear.data.present.sum(axis=(2, 3))
+    counts = np.pad(counts, [(0, 0), (0, -counts.shape[1] % BLOCK)]).reshape(*logs.shape, BLOCK).sum(axis=2)
+    return LeftOut(linear, judged, blocks, logs, counts > 0, int(linear.data.present.sum()))

@@ -26,7 +26,7 @@ from snakejax.estimation.fit_journal import kept
 
 from ..selection.criteria import CRITERIA, SelectionCriteria
 from .candidate_model import CandidateModel
-from .subsets import Subsets, best_subset, choose
+from .subsets import Subsets, best_subset
 
 TYRE_ROUNDS = 2
 """Rounds in which only the tyre and the constants move, beside a free force."""
@@ -34,8 +34,6 @@ SEARCH_ROUNDS = 5
 """Rounds in which effects are chosen anew."""
 REFIT_ROUNDS = 10
 """Rounds of a fit of one set of effects, at most."""
-REVISIONS = 3
-"""How often a set that was fitted to the end is chosen again on its own Gram matrices, at most."""
 ROUGH, FINE = 8, 25
 """Iterations of the discrepancy while the model still moves, and at the end."""
 SMALLEST_SHARE = 0.25
@@ -209,25 +207,7 @@ def distance(best: Optimum) -> float:
     return float(np.sqrt(max(step @ np.linalg.solve(best.covariance, step), 0.0)))
 
 
-def search_effects(search: Search) -> Linear:
-    """The set of effects that the recordings need, fitted to the end."""
-    search.progress(ProgressEvent(Phase.TYRE_BESIDE_FORCE))
-    return revised(search, _rounds(search, search.begin()))
-
-
-def revised(search: Search, point: Point) -> Linear:
-    """The effects of `point` fitted to the end, and chosen again there until nothing changes."""
-    for _ in range(REVISIONS):
-        search.progress(ProgressEvent(Phase.FITTING_EFFECTS))
-        linear = search.refit(point, point.effects, most=FINE)
-        again = choose(linear.subsets.without(_slopeless(search, linear.point)), linear.point.effects)
-        if set(again) == set(linear.point.effects):
-            return linear
-        point = linear.point._replace(effects=tuple(again))
-    return search.refit(point, point.effects, most=FINE)
-
-
-def _rounds(search: Search, point: Point) -> Point:
+def rounds(search: Search, point: Point) -> Point:
     """The rounds in which effects are chosen anew."""
     return kept(("rounds", search.parts, point), lambda: _chosen(search, point))
 
@@ -237,7 +217,7 @@ def _chosen(search: Search, point: Point) -> Point:
     for k in range(SEARCH_ROUNDS):
         search.progress(ProgressEvent(Phase.CHOOSING_EFFECTS, done=k + 1, total=SEARCH_ROUNDS))
         every = np.arange(len(model.names)) if k == 1 else None
-        unfit = _slopeless(search, point)
+        unfit = slopeless(search, point)
         linear = search.linearise(point, every)
         effects = best_subset(linear.subsets.without(unfit), point.effects, all_at_once=k > 0)
         best = linear.subsets.with_effects(effects)
@@ -256,7 +236,7 @@ def _chosen(search: Search, point: Point) -> Point:
     return point
 
 
-def _slopeless(search: Search, point: Point) -> list[str]:
+def slopeless(search: Search, point: Point) -> list[str]:
     """The absent candidates whose columns are zero because no derivative exists at their neutral value."""
     model = search.model
     return [

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from scipy import stats
 
 from snakejax.estimation.discrepancy.least_squares import Optimum, Prior, optimum, quadratic
@@ -136,3 +137,31 @@ def left_out_errors(problem: Subsets, fitted: np.ndarray, judged: np.ndarray, ef
     effects, total = list(effects), fitted.sum(axis=0)
     steps = [problem.with_effects(effects, total - one).step for one in fitted]
     return np.array([quadratic(gram, step) for gram, step in zip(judged, steps, strict=True)])
+
+
+def left_out_deviances(
+    problem: Subsets, blocks: np.ndarray, logs: np.ndarray, effects: Iterable[str]
+) -> Float[np.ndarray, "R B"]:
+    """-2 log density (R, B) of the blocks of each run as the other runs, and the blocks before it, predict it.
+
+    `blocks` (R, B, P + 1, P + 1) and `logs` (R, B): their Gram matrices and log determinants. The constant ln 2 pi of
+    each sample is left out. At the optimum of what came before, whose parameters have the covariance C, a block has the
+    residual r and its derivatives D in units of noise and random force, and r ~ N(0, 1 + D C D^T) has the density
+    ln |1 + C D^T D| + r^T r - g^T (D^T D + C^-1)^-1 g, g = D^T r. Without C, what the others do not determine would be
+    held against an effect. The sum over the blocks of a run is the density of the run.
+    """
+    effects = list(effects)
+    total, found = blocks.sum(axis=(0, 1)), np.zeros(logs.shape)
+    for r, run in enumerate(blocks):
+        known = total - run.sum(axis=0)
+        for b, one in enumerate(run):
+            others = problem.with_effects(effects, known)
+            rows = np.array(others.free, int) + 1
+            gradient = one[rows] @ np.concatenate([[1.0], -others.step])
+            information, C = one[np.ix_(rows, rows)], others.covariance
+            # (D^T D + C^-1)^-1 = (1 + C D^T D)^-1 C needs no inverse of C, which a bound may leave near singular.
+            spread = np.eye(len(rows)) + C @ information
+            found[r, b] = np.linalg.slogdet(spread)[1] + quadratic(one, others.step)
+            found[r, b] -= gradient @ np.linalg.solve(spread, C @ gradient)
+            known = known + one
+    return found + logs

@@ -178,8 +178,8 @@ class WindowSearch(NamedTuple):
         rest = [other for other in linear.effects if other != effect]
         columns = list(self.model.candidates[effect])
         without = linear.error(rest)
-        by_run = without - linear.error([*rest, effect])
-        gain = Gain(by_run, float(by_run.sum() / without.sum()))
+        by_part = without - linear.error([*rest, effect])
+        gain = Gain(by_part, float(by_part.sum() / without.sum()))
         optimum, covariance = linear.jackknife([*rest, effect], columns)
         step = optimum.step[columns]
         moved = self._moved(linear.point, columns, step)
@@ -269,7 +269,7 @@ def _state(search: WindowSearch, point: WindowPoint, effects: Sequence[str]) -> 
     linear = search.linear(point, effects)
     absent = [effect for effect in search.model.candidates if effect not in effects]
     tried = [search.candidate(linear, effect) for effect in absent]
-    return Found(linear, tuple(sorted(tried, key=lambda one: -one.gain.by_run.sum())))
+    return Found(linear, tuple(sorted(tried, key=lambda one: -one.gain.by_part.sum())))
 
 
 def _further(search: WindowSearch, last: Found) -> Found | None:

@@ -91,7 +91,7 @@ def _ranking(search: WindowSearch, state: Found, misfit: float) -> tuple[Candida
                 effect=one.effect,
                 description=known[one.effect].description,
                 p_value=min(1.0, one.p_value * family),
-                statistic=max(0.0, float(one.gain.by_run.sum())),
+                statistic=max(0.0, float(one.gain.by_part.sum())),
                 predicted_misfit=misfit * optimum.chi2 / without,
                 estimate=expected,
                 detectable={part: reach * (e.sd or 0.0) for part, e in expected.items()},
@@ -104,7 +104,7 @@ def _ranking(search: WindowSearch, state: Found, misfit: float) -> tuple[Candida
 
 def _confusable(search: WindowSearch, state: Found, one: Candidate) -> tuple[str, ...]:
     """The other candidates that these recordings cannot tell from `one`, where it does anything."""
-    if not one.gain.by_run.sum() > 0:
+    if not one.gain.by_part.sum() > 0:
         return ()
     with_it = state.linear._replace(effects=(*state.effects, one.effect))
     return twins(search, state._replace(linear=with_it), one.effect)

@@ -200,6 +200,22 @@ def gram_matrices(
     return np.asarray(gram.sum(axis=1)), np.asarray(logs.sum(axis=1))
 
 
+def block_gram_matrices(
+    data: SegmentData, discrepancy: Discrepancy, length: int
+) -> tuple[Float[np.ndarray, "R B P1 P1"], Float[np.ndarray, "R B"]]:
+    """The Gram matrix and the log determinant of each block of `length` segments of a run, given the blocks before it.
+
+    By the chain rule their sums are those of the run. Blocks without samples are zero.
+    """
+    R, K, count = data.columns.shape[0], data.columns.shape[1], data.columns.shape[-1]
+    gram, logs, _, _ = filter_runs(_on_device(data), _noise(discrepancy), jnp.zeros(K))
+    missing = (0, -K % length)
+    gram = np.pad(np.asarray(gram), [(0, 0), missing, (0, 0), (0, 0)])
+    logs = np.pad(np.asarray(logs), [(0, 0), missing])
+    blocks = (R, -1, length)
+    return gram.reshape(*blocks, count, count).sum(axis=2), logs.reshape(blocks).sum(axis=2)
+
+
 def smooth(data: SegmentData, discrepancy: Discrepancy, step: Float[np.ndarray, " P"]) -> np.ndarray:
     """Deviations dz (R, K, nz) of the start states given all samples, after a `step` of the parameters."""
     data = data.at_step(step)
