@@ -54,8 +54,8 @@ def _admissible(node: ast.AST) -> bool:
 def names_in(tree: ast.expr) -> tuple[str, ...]:
     """The names of the numbers in a formula, in the order in which they first stand there."""
     called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
-    found = [node for node in ast.walk(tree) if isinstance(node, ast.Name) and id(node) not in called]
-    return tuple(dict.fromkeys(node.id for node in sorted(found, key=lambda node: (node.lineno, node.col_offset))))
+    nodes = [node for node in ast.walk(tree) if isinstance(node, ast.Name) and id(node) not in called]
+    return tuple(dict.fromkeys(node.id for node in sorted(nodes, key=lambda node: (node.lineno, node.col_offset))))
 
 
 def evaluated(tree: ast.expr, values: Mapping[str, Any], library: Any) -> Any:

@@ -42,8 +42,8 @@ class Tabular(abc.ABC):
             for row in islice(rows, MOST_ROWS)
         )
         more = f"<p>{len(rows) - MOST_ROWS} more rows: to_dataframe()</p>" if len(rows) > MOST_ROWS else ""
-        said = html.escape(repr(self)).replace("\n", "<br>")
-        return f"<p>{said}</p><table><thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table>{more}"
+        headline = html.escape(repr(self)).replace("\n", "<br>")
+        return f"<p>{headline}</p><table><thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table>{more}"
 
     def to_dataframe(self) -> "DataFrame":
         """The table as a pandas data frame. **Raises:** `InputError` where pandas is not installed."""

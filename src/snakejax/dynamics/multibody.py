@@ -193,9 +193,11 @@ def held_velocities(vehicle: AbstractVehicle, free: Sequence[Scalar], phase: Pha
             f"{type(vehicle).__name__} holds {len(rest)} velocities of wheels, but {len(others)} velocities are not "
             f"independent."
         )
-    found = solved([list(row) for row in zip(*columns, strict=True)], [[-part] for part in rest])[0] if others else ()
+    solution = (
+        solved([list(row) for row in zip(*columns, strict=True)], [[-part] for part in rest])[0] if others else ()
+    )
     V = list(start)
-    for k, value in zip(others, found, strict=True):
+    for k, value in zip(others, solution, strict=True):
         V[k] = value
     return tuple(V)
 
@@ -212,7 +214,7 @@ def solved(matrix: list[list[Scalar]], right: list[list[Scalar]]) -> list[Vector
         for i in range(k + 1, n):
             factor = rows[i][k] / rows[k][k]
             rows[i] = [b - factor * a for a, b in zip(rows[k], rows[i], strict=True)]
-    found = []
+    solutions = []
     for column in range(n, len(rows[0]) if rows else n):
         x: list[Scalar] = [jnp.zeros(())] * n
         for k in reversed(range(n)):
@@ -220,8 +222,8 @@ def solved(matrix: list[list[Scalar]], right: list[list[Scalar]]) -> list[Vector
             for j in range(k + 1, n):
                 rest = rest - rows[k][j] * x[j]
             x[k] = rest / rows[k][k]
-        found.append(tuple(x))
-    return found
+        solutions.append(tuple(x))
+    return solutions
 
 
 def _directions(V: Vector) -> list[Vector]:
