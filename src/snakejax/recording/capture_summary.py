@@ -106,14 +106,14 @@ def summary_text(capture: Capture, grounds: Mapping[str, Ground | None], up: str
     paced = f"{clock} at {rate:.6g} Hz" if rate else clock
     lines = [f"{capture.path.name}: {capture.format}, {paced} for {span:.2f} s, in {capture.units}"]
     for name, body in [*capture.bodies.items()][:MOST_LISTED]:
-        lines.append(f"  object   {name or '(without a name)'}: {_said(coverage(body.times, body.position))}")
+        lines.append(f"  object   {name or '(without a name)'}: {_coverage_text(coverage(body.times, body.position))}")
     if len(capture.bodies) > MOST_LISTED:
         lines.append(f"  object   and {len(capture.bodies) - MOST_LISTED} more: --json FILE lists them all")
     for name, markers in subjects(capture).items():
         lines.append(f"  markers  {name or '(of no object)'}: {_listed(capture, markers)}")
     for name, reading in [*capture.angles.items()][:MOST_LISTED]:
-        lines.append(f"  angles   {name}: RX, RY, RZ are {reading.said}")
-    lines += [f"  up       {way}" for way in _ways_up(capture, grounds, up)]
+        lines.append(f"  angles   {name}: RX, RY, RZ are {reading.description}")
+    lines += [f"  up       {direction}" for direction in _ways_up(capture, grounds, up)]
     return "\n".join([*lines, *(f"  note     {note}" for note in notes_of(capture))])
 
 
@@ -157,7 +157,7 @@ def _way_up(capture: Capture, name: str, plane: Ground | None) -> str:
     return f"{axis}: perpendicular to the plane in which {name} moves{tilt}{why}"
 
 
-def _said(part: Coverage) -> str:
+def _coverage_text(part: Coverage) -> str:
     gap = f", the longest gap {part.longest_gap:.2f} s" if part.longest_gap else ""
     return f"{part.frames} frames, {part.lost} lost{gap}"
 

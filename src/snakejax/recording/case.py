@@ -95,7 +95,7 @@ def load_case(folder: Path | str, *, to_train: bool = True) -> Case:
         vehicle, constant_sd = read_vehicle(table)
     noise = _noise(table.table("noise", "[noise] with position_m and heading_rad")) if "noise" in table.values else None
     actuators = read_actuators(table, vehicle)
-    rows = table.tables("runs", f'[[runs]] with role = "train", mocap, object, {_asked(vehicle)}')
+    rows = table.tables("runs", f'[[runs]] with role = "train", mocap, object, {_required_inputs(vehicle)}')
     _require_runs(rows, vehicle, to_train)
     runs, recordings, reading = _runs(rows, folder, vehicle, actuators)
     title = table.text("title", 'title = "..."') if "title" in table.values else folder.resolve().name
@@ -229,7 +229,7 @@ def structures_of(vehicle: AbstractVehicle) -> tuple[str, ...]:
     return CASE_STRUCTURES if isinstance(vehicle, Board) else tuple(vehicle.structures)
 
 
-def _asked(vehicle: AbstractVehicle) -> str:
+def _required_inputs(vehicle: AbstractVehicle) -> str:
     """The inputs that a run must have, in words."""
     names = [given.name for given in vehicle.inputs if given.follows is None]
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

@@ -17,26 +17,26 @@ SPEED_CLASSES = 3
 
 
 def continuous_parts(times: Float[np.ndarray, " n"], pose: Float[np.ndarray, "n 3"]) -> list[np.ndarray]:
-    """The numbers of the seen frames of each part without a gap or a jump."""
-    seen = np.flatnonzero(np.isfinite(pose).all(axis=1))
-    if not seen.size:
+    """The numbers of the measured frames of each part without a gap or a jump."""
+    measured = np.flatnonzero(np.isfinite(pose).all(axis=1))
+    if not measured.size:
         return []
-    dt = np.diff(times[seen])
-    step = np.hypot(*np.diff(pose[seen, :2], axis=0).T)
+    dt = np.diff(times[measured])
+    step = np.hypot(*np.diff(pose[measured, :2], axis=0).T)
     usual = float(np.median(dt)) if dt.size else 0.0
     ends = (dt > max(LONGEST_GAP, 3 * usual)) | (step > FASTEST * dt + JITTER)
-    return np.split(seen, np.flatnonzero(ends) + 1)
+    return np.split(measured, np.flatnonzero(ends) + 1)
 
 
 def jumps(times: Float[np.ndarray, " n"], pose: Float[np.ndarray, "n 3"]) -> list[float]:
     """The times [s] at which a recording jumps."""
     parts = continuous_parts(times, pose)
-    found = []
+    jump_times = []
     for one, two in itertools.pairwise(parts):
         a, b = one[-1], two[0]
         if np.hypot(*(pose[b, :2] - pose[a, :2])) > FASTEST * (times[b] - times[a]) + JITTER:
-            found.append(float(times[b]))
-    return found
+            jump_times.append(float(times[b]))
+    return jump_times
 
 
 def mean_speed(times: Float[np.ndarray, " n"], pose: Float[np.ndarray, "n 3"]) -> float:

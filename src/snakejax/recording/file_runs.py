@@ -62,10 +62,10 @@ def files_of(row: Table, folder: Path) -> list[Path]:
         raise row.error("files", "must be a pattern or a list of patterns", f"write {FILES_EXAMPLE}")
     names: dict[str, None] = {}
     for pattern in patterns:
-        found = sorted(glob.glob(pattern, root_dir=folder))
-        if not found:
+        matches = sorted(glob.glob(pattern, root_dir=folder))
+        if not matches:
             raise row.error("files", f'"{pattern}" matches no file', "correct the pattern or add the files")
-        names |= dict.fromkeys(found)
+        names |= dict.fromkeys(matches)
     return [folder / name for name in names]
 
 
@@ -73,13 +73,13 @@ def recordings_of(row: Table, folder: Path, vehicle: AbstractVehicle) -> list[Re
     """All recordings of a row. **Raises:** `InputError` with file, line and remedy."""
     kind = row.choice("kind", KINDS) if "kind" in row.values else KINDS[0]
     hints = annotations_of(row)
-    said = row.texts("inputs", 'inputs = {steer = "steering"}') if "inputs" in row.values else {}
+    named_columns = row.texts("inputs", 'inputs = {steer = "steering"}') if "inputs" in row.values else {}
     known = [one.name for one in vehicle.inputs]
     if "inputs" in row.values:
         row.table("inputs", "").require_known([*known, STAMP, ENABLE])
-    found = []
+    recordings = []
     for path in files_of(row, folder):
-        columns = input_columns(path, said, vehicle.inputs)
+        columns = input_columns(path, named_columns, vehicle.inputs)
         each = row.text("each", 'each = "window"') if "each" in row.values else None
         table = read_columns(path, [*columns.values(), *([each] if each else [])])
         capture = read_capture(path, hints)
@@ -93,10 +93,10 @@ def recordings_of(row: Table, folder: Path, vehicle: AbstractVehicle) -> list[Re
             name = f"{path.stem}[{label:g}]" if each else path.stem
             part = {key: values[rows] for key, values in table.items()}
             try:
-                found.append(_recorded(name, _rows(body, rows), part, columns, (up, hints, object), vehicle, kind))
+                recordings.append(_recorded(name, _rows(body, rows), part, columns, (up, hints, object), vehicle, kind))
             except ValueError as error:
                 raise InputError(f"{name} {error}", str(path), "leave this file out") from None
-    return found
+    return recordings
 
 
 def _rows(body: Body, rows: np.ndarray) -> Body:

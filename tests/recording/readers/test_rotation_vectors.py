@@ -93,14 +93,14 @@ def test_where_the_data_do_not_tell_it_is_a_rotation_vector(tmp_path):
     rng = np.random.default_rng(0)
     straight = put(tmp_path, [[0.05, 0.02, 0.5]] + 1e-4 * rng.normal(size=(100, 3)))
     reading = read_capture(straight).angles["board:board"]
-    assert reading.angles == "helical" and "the motion does not tell" in reading.said
+    assert reading.angles == "helical" and "the motion does not tell" in reading.description
     tumbling = Rotation.from_rotvec(np.cumsum(rng.normal(size=(400, 3)), axis=0) * 0.2)
     path = put(tmp_path, long_vectors(tumbling), "tumbling.csv")
     reading = read_capture(path).angles["board:board"]
-    assert reading.angles == "helical" and "degrees long" in reading.said
+    assert reading.angles == "helical" and "degrees long" in reading.description
     unseen = put(tmp_path, np.full((20, 3), np.nan), "unseen.csv")
     unseen.write_text(unseen.read_text().replace("nan", ""))
-    assert "never seen" in read_capture(unseen).angles["board:board"].said
+    assert "never seen" in read_capture(unseen).angles["board:board"].description
 
 
 def test_a_user_overrules(tmp_path, capsys):

@@ -25,17 +25,17 @@ class Told(Protocol):
 One = TypeVar("One", bound=Told)
 
 
-def in_brief(found: Sequence[One]) -> list[One]:
+def in_brief(entries: Sequence[One]) -> list[One]:
     """Of what is alike in more than `ALIKE` runs the first, with the number of the runs; all else as it is."""
     groups: dict[Hashable, list[One]] = {}
-    for one in found:
+    for one in entries:
         groups.setdefault(one.alike, []).append(one)
-    told = []
-    for one in found:
+    brief = []
+    for one in entries:
         group = groups[one.alike]
         runs = len({other.run for other in group})
         if runs <= ALIKE:
-            told.append(one)
+            brief.append(one)
         elif one is group[0]:
-            told.append(one._replace(what=f"{one.what}; alike in {runs - 1} more runs"))
-    return told
+            brief.append(one._replace(what=f"{one.what}; alike in {runs - 1} more runs"))
+    return brief

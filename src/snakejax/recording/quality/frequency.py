@@ -68,8 +68,8 @@ def _finding(run: Run, motion: JointMotion, pace: Pace) -> Finding:
     else:
         at = ", ".join(f"{name} is at {frequency}" for name, frequency in given.items())
     swing, slow = f"{fundamental_frequency(motion.times, motion.r):#.2g}".rstrip("."), max(pace) > 1
-    asked = "are these Hz?" if slow else "are these 2 pi times too high?"
-    what = f"the board swings at {swing} rad/s in {run.name}, {at}: {asked}"
+    question = "are these Hz?" if slow else "are these 2 pi times too high?"
+    what = f"the board swings at {swing} rad/s in {run.name}, {at}: {question}"
     remedy = f"{'multiply' if slow else 'divide'} the frequencies of {' and '.join(joints)} by 2 pi: they are in rad/s"
     return Finding("frequency_unit", what, remedy, 0.0, 0.0, size=TURN, severity="refused")
 

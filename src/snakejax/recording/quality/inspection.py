@@ -35,8 +35,8 @@ class Inspection(NamedTuple):
     as_recorded: bool = False
 
     def __repr__(self) -> str:
-        found = [f"  {f.run or self.case.name}: {f.what} - {f.remedy}" for f in self.findings]
-        return "\n".join([f"{self.case!r}; {counted(len(found), 'finding')}", *found])
+        lines = [f"  {f.run or self.case.name}: {f.what} - {f.remedy}" for f in self.findings]
+        return "\n".join([f"{self.case!r}; {counted(len(lines), 'finding')}", *lines])
 
     @property
     def masked(self) -> dict[str, int]:

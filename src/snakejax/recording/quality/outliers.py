@@ -63,11 +63,11 @@ def _groups(kept: np.ndarray) -> list[Int[np.ndarray, " k"]]:
 
 def _within(present: PoseSeries, chain: Chain, group: Int[np.ndarray, " k"]) -> bool:
     """Whether the board gets from the last frame of `group` to the next in `LATEST`."""
-    way = np.abs(present.pose[group[-1] + 1] - present.pose[group[-1]])
-    return bool((way[:2] <= LATEST * chain.bounds.speed[:2]).all())
+    displacement = np.abs(present.pose[group[-1] + 1] - present.pose[group[-1]])
+    return bool((displacement[:2] <= LATEST * chain.bounds.speed[:2]).all())
 
 
-def _ways(present: PoseSeries, chain: Chain, group: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k 3"]:
+def _path_between(present: PoseSeries, chain: Chain, group: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k 3"]:
     """Where the board was meanwhile: the cubic from how it left to how it came back, or its nearest place."""
     kept = np.flatnonzero(chain.kept)
     before, after = kept[kept < group[0]], kept[kept > group[-1]]
@@ -86,7 +86,7 @@ def _ways(present: PoseSeries, chain: Chain, group: Int[np.ndarray, " k"]) -> Fl
 
 
 def _distance(present: PoseSeries, chain: Chain, group: Int[np.ndarray, " k"]) -> tuple[float, str]:
-    off = present.pose[group] - _ways(present, chain, group)
+    off = present.pose[group] - _path_between(present, chain, group)
     noise = np.maximum(np.median(chain.bounds.noise, axis=0), 1e-12)
     far, turned = float(np.linalg.norm(off[:, :2], axis=1).max()), float(np.abs(off[:, 2]).max())
     return (far, "m") if far / np.hypot(*noise[:2]) > turned / noise[2] else (turned, "rad")
@@ -100,12 +100,12 @@ def _reordered(present: PoseSeries, chain: Chain, group: Int[np.ndarray, " k"]) 
     span = present.times[group[-1]] - present.times[group[0]]
     if span > 0.5:
         return False
-    way = _ways(present, chain, group)
+    path = _path_between(present, chain, group)
     noise = np.maximum(np.median(chain.bounds.noise, axis=0), 1e-12)
     reach = SURE * noise + chain.bounds.acceleration * span**2 / 16
-    apart = np.abs(present.pose[group][:, None] - way[None]) / reach
+    apart = np.abs(present.pose[group][:, None] - path[None]) / reach
     nearest = apart.max(axis=2).argmin(axis=1)
-    off, put_right = (np.abs(present.pose[group] - path).sum(axis=0) for path in (way, way[nearest]))
+    off, put_right = (np.abs(present.pose[group] - places).sum(axis=0) for places in (path, path[nearest]))
     return bool((apart.max(axis=2).min(axis=1) < 1).all() and (put_right[:2].sum() < off[:2].sum() / 3))
 
 
@@ -125,15 +125,15 @@ def _clock_jump(track: PoseSeries, present: PoseSeries, chain: Chain, group: Int
     tau = float(b.time - a.time)
     if tau > LATEST / 4:
         return None
-    speed, way = (a.speed + b.speed) / 2, b.place - a.place
+    speed, displacement = (a.speed + b.speed) / 2, b.place - a.place
     sd = np.maximum(np.maximum(a.noise, b.noise), 1e-12)
     spread = a.place_variance + b.place_variance + tau**2 * (a.speed_variance + b.speed_variance) / 4
     weight = 1 / (sd**2 * spread)
-    T = float((weight * speed * (way - tau * speed)).sum() / (weight * speed**2).sum())
-    apart = np.abs(way - (tau + T) * speed)
+    T = float((weight * speed * (displacement - tau * speed)).sum() / (weight * speed**2).sum())
+    apart = np.abs(displacement - (tau + T) * speed)
     reach = chain.bounds.acceleration * (tau + abs(T)) ** 2 / 4
     noisy = SURE * sd * np.sqrt(spread + T**2 * (a.speed_variance + b.speed_variance) / 4)
-    explains = (np.abs(way - tau * speed) > 2 * (apart + 0.5 * noisy)).any()
+    explains = (np.abs(displacement - tau * speed) > 2 * (apart + 0.5 * noisy)).any()
     if not ((apart <= reach + noisy).all() and explains and abs(T) <= LATEST):
         return None
     frames = np.flatnonzero(track.present)

@@ -49,21 +49,23 @@ def units(track: PoseSeries) -> list[Finding]:
     remedy = "correct the unit that the file states"
     every = np.flatnonzero(track.present)
 
-    def said(what: str, size: float, unit: str, severity: str = "refused") -> list[Finding]:
+    def unit_finding(what: str, size: float, unit: str, severity: str = "refused") -> list[Finding]:
         return [finding("units", track, every, what, remedy, size=size, unit=unit, severity=severity)]
 
     if far > FARTHEST or speed > FASTEST:
-        return said(f"the board goes {far:.3g} m away: is the unit of length right?", far, "m")
+        return unit_finding(f"the board goes {far:.3g} m away: is the unit of length right?", far, "m")
     if position > LOUD:
-        return said(f"one sample of position is off by {position:.2g} m: is the unit of length right?", position, "m")
+        return unit_finding(
+            f"one sample of position is off by {position:.2g} m: is the unit of length right?", position, "m"
+        )
     if far < NEAREST:
         what = f"the board goes only {far:.2g} m away: did it move, and is the unit of length right?"
-        return said(what, far, "m", "doubtful")
+        return unit_finding(what, far, "m", "doubtful")
     if position > QUIET and heading > 0 and not ARMS[0] <= position / heading <= ARMS[1]:
         arm = position / heading
         wrong = "length" if arm > ARMS[1] or heading < 0.05 else "angle"
         what = f"noise of {position:.2g} m goes with {heading:.2g} rad, as of markers {arm:.2g} m apart"
-        return said(f"{what}: is the unit of {wrong} right?", arm, "m")
+        return unit_finding(f"{what}: is the unit of {wrong} right?", arm, "m")
     return []
 
 

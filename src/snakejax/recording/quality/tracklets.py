@@ -59,15 +59,17 @@ def miss(before: End, after: End, limits: Bounds) -> Float[np.ndarray, "..."]:
     late = np.abs(tau - limits.frame * np.maximum(1, np.round(tau / limits.frame)))[..., None] * limits.speed
     both, either = before.known & after.known, before.known | after.known
     half_before, half_after = (np.where(both, 0.5, np.where(end.known, 1.0, 0.0)) for end in (before, after))
-    way = after.place - before.place
+    displacement = after.place - before.place
     mean = half_before[..., None] * before.speed + half_after[..., None] * after.speed
     swerve = np.where(both, 0.25, 0.5)[..., None] * limits.acceleration * tau[..., None] ** 2
     reach = np.where(either[..., None], swerve, limits.speed * tau[..., None])
     variance = before.place_variance + after.place_variance
     drift = half_before**2 * before.speed_variance + half_after**2 * after.speed_variance
     sd = np.maximum(np.maximum(before.noise, after.noise), 1e-12)
-    bent = (np.abs(way - mean * tau[..., None]) - reach - late) / (sd * np.sqrt(variance + tau**2 * drift)[..., None])
-    far = (np.abs(way) - limits.speed * tau[..., None] - late) / (sd * np.sqrt(variance)[..., None])
+    bent = (np.abs(displacement - mean * tau[..., None]) - reach - late) / (
+        sd * np.sqrt(variance + tau**2 * drift)[..., None]
+    )
+    far = (np.abs(displacement) - limits.speed * tau[..., None] - late) / (sd * np.sqrt(variance)[..., None])
     worst = np.maximum(bent, far)
     # Across a pause the heading may have turned either way.
     worst[..., 2] = np.where(tau > PAUSE, 0.0, worst[..., 2])
@@ -163,8 +165,8 @@ def _heaviest(track: PoseSeries, tracklets: list[Int[np.ndarray, " k"]], limits:
         j = int(np.where(able, total[:k], -1).argmax())
         if able[j]:
             total[k], came[k] = total[k] + total[j], j
-    k, way = int(total.argmax()), []
+    k, chain = int(total.argmax()), []
     while k >= 0:
-        way.append(k)
+        chain.append(k)
         k = int(came[k])
-    return way[::-1]
+    return chain[::-1]

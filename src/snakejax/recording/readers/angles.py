@@ -30,7 +30,7 @@ class Reading(NamedTuple):
     """How the angles of one body are read, one of `ANGLES`, and a sentence that says so and why."""
 
     angles: str
-    said: str
+    description: str
 
     @staticmethod
     def given(angles: str) -> "Reading":
@@ -64,11 +64,11 @@ def reading_of(values: Float[np.ndarray, "n 3"]) -> Reading:
     euler = "XYZ" if swing["XYZ"] * LEAST_RATIO < swing["xyz"] else "xyz"
     shown = {angles: f"{math.degrees(size):.2g} degrees" for angles, size in swing.items()}
     if swing[euler] * LEAST_RATIO < swing[HELICAL] and swing[euler] < MOST_SWING:
-        said = f"{EULER[euler]}: so the body's normal swings by {shown[euler]}, as {VECTOR} by {shown[HELICAL]}"
-        return Reading(euler, said)
+        description = f"{EULER[euler]}: so the body's normal swings by {shown[euler]}, as {VECTOR} by {shown[HELICAL]}"
+        return Reading(euler, description)
     if swing[HELICAL] * LEAST_RATIO < swing[euler] and swing[HELICAL] < MOST_SWING:
-        said = f"{VECTOR}: so the body's normal swings by {shown[HELICAL]}, as Euler angles by {shown[euler]}"
-        return Reading(HELICAL, said)
+        description = f"{VECTOR}: so the body's normal swings by {shown[HELICAL]}, as Euler angles by {shown[euler]}"
+        return Reading(HELICAL, description)
     long = float(np.linalg.norm(some, axis=1).max())
     if long > math.pi:
         why = f"it is up to {math.degrees(long):.0f} degrees long"

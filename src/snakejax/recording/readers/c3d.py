@@ -66,7 +66,7 @@ def read(source: Source) -> Capture:
         times,
         up=up.up,
         up_known=known,
-        up_said=up.said,
+        up_said=up.reason,
         up_open=up.open,
         doubled=doubled,
         notes=_notes(facts["outputs"]),
@@ -85,10 +85,10 @@ def _along(markers: dict[str, np.ndarray], axis: str, screen: str) -> Upward:
     side = side_of(markers, axis)
     if side is None:
         return Upward(axis, "the axis is the file's; nothing shows which of its ends is up, --up says otherwise")
-    said = "the axis is the file's, and its markers lie above the floor that way"
+    reason = "the axis is the file's, and its markers lie above the floor that way"
     if (side[0] == "-") != screen.startswith("-"):
-        said += f"; Y_SCREEN {shown(screen)} is about a display"
-    return Upward(side, said)
+        reason += f"; Y_SCREEN {shown(screen)} is about a display"
+    return Upward(side, reason)
 
 
 def load(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -107,14 +107,16 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     points = np.moveaxis(data[:3], 0, -1).copy()
     points[(residuals < 0) | ~np.isfinite(points).all(axis=-1)] = np.nan
     rate = float(value(point, "RATE", 0.0))
-    said = _frames_said(path, file["parameters"].get("TRIAL", {}))
+    stated_frames = _stated_frames(path, file["parameters"].get("TRIAL", {}))
     if not data.shape[2]:
         what = (
-            f"ezc3d finds none of the {said} frames that the C3D's header says" if said > 0 else "The C3D has no frames"
+            f"ezc3d finds none of the {stated_frames} frames that the C3D's header says"
+            if stated_frames > 0
+            else "The C3D has no frames"
         )
         raise InputError(what, str(path), REMEDY)
-    if data.shape[2] < said:
-        what = f"The C3D is cut short: its header says {said} frames, but {data.shape[2]} are there"
+    if data.shape[2] < stated_frames:
+        what = f"The C3D is cut short: its header says {stated_frames} frames, but {data.shape[2]} are there"
         raise InputError(what, str(path), f"copy it again, {CONVERT}")
     labels = _listed(point, ("LABELS",))[: len(points)]
     labels += [""] * (len(points) - len(labels))
@@ -136,7 +138,7 @@ def _listed(point: Any, names: tuple[str, ...]) -> list[str]:
     return [str(label).strip() for value in labels for label in value]
 
 
-def _frames_said(path: Path, trial: Any) -> int:
+def _stated_frames(path: Path, trial: Any) -> int:
     """How many frames the header has; ezc3d reports those it could read. Numbers above 65534 stand in TRIAL."""
     with path.open("rb") as file:
         first, last = struct.unpack("<HH", file.read(10)[6:])

@@ -49,22 +49,22 @@ def columns_of(names: Sequence[str], units: Sequence[str], hints: FileAnnotation
 
     **Raises:** `InputError` where the map names a column that is not there, or the names do not do.
     """
-    said = _mapped(names, units, hints.columns or {}, hints.units or {}, where)
-    roles = {column.role for column in said}
+    mapped = _mapped(names, units, hints.columns or {}, hints.units or {}, where)
+    roles = {column.role for column in mapped}
     if {"x", "y", "time"} <= roles:
-        return said
+        return mapped
     if ("x" in roles) != ("y" in roles):
         lacks = "y" if "x" in roles else "x"
         raise InputError(f"The map of columns lacks {lacks}", where, f"write {_EXAMPLE}")
-    by_name = _named(names, units, hints.units or {}, {column.column_index for column in said}, "qx" not in roles)
-    clocks = {c.object: c for c in (*by_name, *said) if c.role == "time"}
+    by_name = _named(names, units, hints.units or {}, {column.column_index for column in mapped}, "qx" not in roles)
+    clocks = {c.object: c for c in (*by_name, *mapped) if c.role == "time"}
     more = [] if "x" in roles else [c for c in by_name if c.role != "time" and (c.object or c.role not in roles)]
-    found = [*(c for c in said if c.role != "time"), *more]
-    placed = {c.object for c in found if c.role == "x"} & {c.object for c in found if c.role == "y"}
+    used = [*(c for c in mapped if c.role != "time"), *more]
+    placed = {c.object for c in used if c.role == "x"} & {c.object for c in used if c.role == "y"}
     clock = clocks.get("") or (next(iter(clocks.values())) if len(clocks) == 1 else None)
     if clock is None or not placed:
         raise _unclear(names, clock is not None, bool(placed), where)
-    return [clock._replace(object=""), *(c for c in found if c.object in placed or c.role == "object")]
+    return [clock._replace(object=""), *(c for c in used if c.object in placed or c.role == "object")]
 
 
 def _unclear(names: Sequence[str], clock: bool, placed: bool, where: str) -> InputError:
@@ -78,10 +78,10 @@ def _unclear(names: Sequence[str], clock: bool, placed: bool, where: str) -> Inp
 
 
 def _named(
-    names: Sequence[str], units: Sequence[str], said: Mapping[str, str], taken: set[int], may_turn: bool
+    names: Sequence[str], units: Sequence[str], unit_hints: Mapping[str, str], taken: set[int], may_turn: bool
 ) -> list[Column]:
     """The columns whose names say what they hold. x, y, z beside w, and beside another place, are a quaternion."""
-    parsed = {i: said_by for i, name in enumerate(names) if i not in taken and (said_by := named(name))}
+    parsed = {i: words for i, name in enumerate(names) if i not in taken and (words := named(name))}
     turned = {p.object for p in parsed.values() if may_turn and p.role == "qw" and p.plain}
     turned -= {p.object for p in parsed.values() if p.role == "qx"}
     columns: dict[tuple[str, str], Column] = {}
@@ -89,16 +89,16 @@ def _named(
         role = f"q{p.role}" if p.object in turned and p.plain and p.role in PLACE else p.role
         quantity = QUANTITY.get(role)
         stated = units[i] if i < len(units) else ""
-        unit = (p.unit or stated or said.get(quantity or "", "")) if quantity else ""
+        unit = (p.unit or stated or unit_hints.get(quantity or "", "")) if quantity else ""
         if not unit or _factor(unit, quantity) is not None:
             columns.setdefault((p.object, role), Column(p.object, role, i, unit))
     return [*columns.values()]
 
 
 def _mapped(
-    names: Sequence[str], units: Sequence[str], columns: Mapping[str, str], said: Mapping[str, str], where: str
+    names: Sequence[str], units: Sequence[str], columns: Mapping[str, str], unit_hints: Mapping[str, str], where: str
 ) -> list[Column]:
-    found = []
+    mapped = []
     for role, name in columns.items():
         if role not in ROLES:
             raise InputError(f'Unknown key "{shown(role)}" in columns', where, instead_of(role, ROLES))
@@ -106,15 +106,15 @@ def _mapped(
         words = named(names[i]) if i >= 0 else None
         own = words.unit if words and words.unit in UNITS.get(quantity or "", ()) else ""
         own = own or _ending(names[i], quantity) if i >= 0 else ""
-        unit = (said.get(quantity or "") or (units[i] if 0 <= i < len(units) else "") or own) if quantity else ""
+        unit = (unit_hints.get(quantity or "") or (units[i] if 0 <= i < len(units) else "") or own) if quantity else ""
         if unit and _factor(unit, quantity) is None:
             known = " or ".join(UNITS[quantity or "length"])
             raise InputError(f'Unknown unit "{shown(unit)}" of column {shown(name)}', where, f"write {known} in units")
         if i == COUNTED and not unit:
             remedy = 'write units = {time = "0.01 s"}, or whatever lies between two rows'
             raise InputError("The rows are counted, and what lies between them is not said", where, remedy)
-        found.append(Column("", role, i, unit))
-    return found
+        mapped.append(Column("", role, i, unit))
+    return mapped
 
 
 def _index(names: Sequence[str], role: str, name: str, where: str) -> int:
@@ -131,8 +131,8 @@ def _index(names: Sequence[str], role: str, name: str, where: str) -> int:
 
 def _ending(name: str, quantity: str | None) -> str:
     """The unit with which a name ends that says nothing else, as of "robot easting (mm)"."""
-    found = named(f"x {name}")
-    return found.unit if found and found.unit in UNITS.get(quantity or "", ()) else ""
+    words = named(f"x {name}")
+    return words.unit if words and words.unit in UNITS.get(quantity or "", ()) else ""
 
 
 def _factor(unit: str, quantity: str | None) -> float | None:
@@ -176,10 +176,10 @@ def capture_of(
     markers: dict[str, np.ndarray] = {}
     if labels is not None:
         parts = by_object[""]
-        there, of = np.unique(np.asarray(labels), return_inverse=True)
-        for i, name in enumerate(there):
-            mine = {role: column[of == i] for role, column in parts.items()}
-            if (body := _body(mine, times[of == i], str(name), where)) is None:
+        objects, of = np.unique(np.asarray(labels), return_inverse=True)
+        for i, name in enumerate(objects):
+            object_parts = {role: column[of == i] for role, column in parts.items()}
+            if (body := _body(object_parts, times[of == i], str(name), where)) is None:
                 raise InputError("The objects have no heading and no quaternion", where, "map those columns too")
             bodies[str(name)] = body
     else:
@@ -202,21 +202,21 @@ def _with_units(
     unstated = [c for c in columns if c.quantity and not c.unit]
     if not unstated:
         return list(columns), []
-    found: dict[Column, str] = {}
+    assumed: dict[Column, str] = {}
     for c in unstated:
         if c.role == "time":
-            found[c] = unit_of_time(values[c.column_index], where)
+            assumed[c] = unit_of_time(values[c.column_index], where)
     lengths = [c for c in unstated if c.quantity == "length"]
-    found |= dict.fromkeys(lengths, unit_of_length([values[c.column_index] for c in lengths], where))
+    assumed |= dict.fromkeys(lengths, unit_of_length([values[c.column_index] for c in lengths], where))
     clock = next(c for c in columns if c.role == "time")
-    times = values[clock.column_index] * (_factor(clock.unit or found[clock], "time") or 1.0)
+    times = values[clock.column_index] * (_factor(clock.unit or assumed[clock], "time") or 1.0)
     for c in unstated:
         if c.role == "heading":
-            found[c] = unit_of_angle(values[c.column_index], times, where)
-    taken = {quantity: dict.fromkeys(unit for c, unit in found.items() if c.quantity == quantity) for quantity in SI}
-    said = [f"{' and '.join(units)} for {PLURAL[quantity]}" for quantity, units in taken.items() if units]
-    note = f"no unit is stated, taken are {', '.join(said)}; --units says otherwise"
-    return [c._replace(unit=found.get(c, c.unit)) for c in columns], [note]
+            assumed[c] = unit_of_angle(values[c.column_index], times, where)
+    taken = {quantity: dict.fromkeys(unit for c, unit in assumed.items() if c.quantity == quantity) for quantity in SI}
+    phrases = [f"{' and '.join(units)} for {PLURAL[quantity]}" for quantity, units in taken.items() if units]
+    note = f"no unit is stated, taken are {', '.join(phrases)}; --units says otherwise"
+    return [c._replace(unit=assumed.get(c, c.unit)) for c in columns], [note]
 
 
 def _unused(names: Sequence[str], columns: Sequence[Column]) -> list[str]:

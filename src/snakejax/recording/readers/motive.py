@@ -112,7 +112,7 @@ def _columns(source: Source, separator: str) -> tuple[list[Column], int]:
 
     kinds, names, parts = above[0], above[1], above[-1]
     cells = [(cell(kinds, i), cell(names, i), cell(parts, i), cell(axes, i).upper()) for i in range(2, width)]
-    return [Column(*said) for said in cells], last + 1
+    return [Column(*texts) for texts in cells], last + 1
 
 
 def _columns_of(

@@ -107,7 +107,7 @@ def pose_track(capture: Capture, object: str, hints: FileAnnotations = FileAnnot
     track = planar(body_of(capture, object, hints), up_by(capture, hints), capture.rate, object)
     notes = [*capture.assumed]
     if object in capture.angles:
-        notes.append(f"RX, RY, RZ are {capture.angles[object].said}")
+        notes.append(f"RX, RY, RZ are {capture.angles[object].description}")
     if hints.up is None and capture.up_said:
         notes.append(f"up is {capture.up}: {capture.up_said}")
     return track._replace(pose=track.pose - np.array([0.0, 0.0, X_AXIS_DIRECTIONS[hints.x_axis]]), notes=notes)

@@ -84,8 +84,8 @@ def read(source: Source) -> Capture:
             place = on_grid(frames, block[:, :3] * LENGTH["mm"])
             bodies[name] = Body(times, place, on_grid(frames, rotation), table.rows.where(0))
     notes = []
-    if (said := facts.get("NO_OF_FRAMES", [""])[0]) and said != str(len(table.values)):
-        notes.append(f"its header says {shown(said)} frames, but {len(table.values)} are there")
+    if (stated := facts.get("NO_OF_FRAMES", [""])[0]) and stated != str(len(table.values)):
+        notes.append(f"its header says {shown(stated)} frames, but {len(table.values)} are there")
     where, doubled = at_line(path, places[key]), repeated(names)
     return Capture("Qualisys TSV", path, where, rate, "mm", bodies, markers, times, doubled=doubled, notes=notes)
 
@@ -143,11 +143,11 @@ def _is_spaced(rows: Rows, lead: int, parts: int, count: int) -> bool:
 
 
 def _rate(facts: dict[str, list[str]], places: dict[str, int], path: object, table: Table) -> float:
-    said, times = facts.get("FREQUENCY", [""])[0], table.column("Time")
+    stated, times = facts.get("FREQUENCY", [""])[0], table.column("Time")
     where = at_line(path, places.get("FREQUENCY", 1))
-    if said == "EXT" and times is not None and len(times) > 1 and times[-1] > times[0]:
+    if stated == "EXT" and times is not None and len(times) > 1 and times[-1] > times[0]:
         return (len(times) - 1) / float(times[-1] - times[0])
-    rate = number(said, "FREQUENCY", where, table.rows.decimal)
+    rate = number(stated, "FREQUENCY", where, table.rows.decimal)
     if not rate > 0:
         raise InputError("FREQUENCY is not above 0", where, "write the frames per second after FREQUENCY")
     return rate

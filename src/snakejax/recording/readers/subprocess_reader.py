@@ -83,10 +83,10 @@ def child() -> None:
 
 def _in_words(error: Exception) -> str:
     """What a library says of a file, without its type and without where to report it."""
-    said = (str(error).strip().splitlines() or [""])[0].split(", please")[0]
-    if isinstance(error, MemoryError) or "bad_alloc" in said:
+    message = (str(error).strip().splitlines() or [""])[0].split(", please")[0]
+    if isinstance(error, MemoryError) or "bad_alloc" in message:
         return "it asks for more memory than a file of its size can need"
-    return shown(said, 120) or type(error).__name__
+    return shown(message, 120) or type(error).__name__
 
 
 def _size(path: Path) -> int:

@@ -63,28 +63,28 @@ def read_columns(path: Path, wanted: Sequence[str]) -> dict[str, Float[np.ndarra
     return {name: table[:, header.index(name)] for name in wanted}
 
 
-def input_columns(path: Path, said: Mapping[str, str], inputs: Sequence[Input]) -> dict[str, str]:
-    """The column of each input, of the stamp and of the safety, by what is `said` of it or by its name.
+def input_columns(path: Path, named_columns: Mapping[str, str], inputs: Sequence[Input]) -> dict[str, str]:
+    """The column of each input, of the stamp and of the safety, by what `named_columns` says or by its name.
 
     **Raises:** `InputError` where an input that must be given has none.
     """
     with path.open(encoding="utf-8", errors="replace") as file:
         line = file.readline().rstrip("\r\n")
     header = split(line, separator_of(line)[0])
-    found = dict(said)
+    columns = dict(named_columns)
     for one in inputs:
         known = (one.name + SUFFIX[one.kind], one.name, one.label, *ALIASES.get(one.name, ()))
-        here = next((name for name in known if name in header), None)
-        if one.name not in found and here is not None:
-            found[one.name] = here
-        if one.name not in found and one.follows is None:
+        column = next((name for name in known if name in header), None)
+        if one.name not in columns and column is not None:
+            columns[one.name] = column
+        if one.name not in columns and one.follows is None:
             remedy = f'write inputs = {{{one.name} = "its column"}}'
             raise InputError(f"No column holds the input {one.name}", at_line(path, 1), remedy)
     for role in (STAMP, ENABLE):
-        here = next((name for name in ALIASES[role] if name in header), None)
-        if role not in found and here is not None:
-            found[role] = here
-    return found
+        column = next((name for name in ALIASES[role] if name in header), None)
+        if role not in columns and column is not None:
+            columns[role] = column
+    return columns
 
 
 def table_inputs(

@@ -57,8 +57,8 @@ def read(source: Source) -> Capture:
             markers[name] = on_grid(frames, lost_together(values[:, 2 + 3 * i : 5 + 3 * i]) * LENGTHS[unit.lower()])
     times = np.arange(frames[-1] - frames[0] + 1) / rate
     notes = [f"{unnamed} of its markers have no name: they are called by their number"] if unnamed else []
-    if (said := facts.get("NumFrames", "")) and said != str(len(values)):
-        notes.append(f"its header says {shown(said)} frames, but {len(values)} are there")
+    if (stated := facts.get("NumFrames", "")) and stated != str(len(values)):
+        notes.append(f"its header says {shown(stated)} frames, but {len(values)} are there")
     up = upward(markers, "y", "a guess: OpenSim writes y, most other programs z")
     return Capture(
         "TRC",
@@ -70,7 +70,7 @@ def read(source: Source) -> Capture:
         markers,
         times,
         up=up.up,
-        up_said=up.said,
+        up_said=up.reason,
         up_open=up.open,
         doubled=repeated(names),
         notes=notes,

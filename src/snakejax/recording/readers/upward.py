@@ -28,33 +28,37 @@ AXES = ("x", "y", "z")
 
 
 class Upward(NamedTuple):
-    """The axis that points `up`, and what `said` so; `open` where nothing did and it is a mere guess."""
+    """The axis that points `up`, and the `reason`; `open` where nothing did and it is a mere guess."""
 
     up: str
-    said: str
+    reason: str
     open: bool = False
 
 
 def upward(markers: Mapping[str, Float[np.ndarray, "n 3"]], usual: str, why: str) -> Upward:
     """Which way is up by what the markers do; `usual`, because of `why`, where they do not show it."""
     points = _some(markers)
-    ways = [way for way in _ways(points) if _steady(points, way)]
+    directions = [direction for direction in _possible_directions(points) if _steady(points, direction)]
     floor = ground_of(points) if points.shape[1] and is_rigid(points) else None
     if floor is not None and floor.tilt < MOST_TILT:
         # A plane has two sides, and what rolls in it lies on one of them.
-        sign = "-" if f"-{floor.axis}" in ways else ""
+        sign = "-" if f"-{floor.axis}" in directions else ""
         return Upward(sign + floor.axis, "the plane in which its markers move lies across it")
-    if len(ways) > 1 and not is_rigid(points):
-        tall = {way: _extent(points, way) for way in AXES}
-        ways = [way for way in ways if all(tall[way[-1]] > TALLER * tall[axis] for axis in AXES if axis != way[-1])]
-    if len(ways) == 1:
-        return Upward(ways[0], "its markers lie above the floor that way")
+    if len(directions) > 1 and not is_rigid(points):
+        tall = {direction: _extent(points, direction) for direction in AXES}
+        directions = [
+            direction
+            for direction in directions
+            if all(tall[direction[-1]] > TALLER * tall[axis] for axis in AXES if axis != direction[-1])
+        ]
+    if len(directions) == 1:
+        return Upward(directions[0], "its markers lie above the floor that way")
     return Upward(usual, why, open=True)
 
 
 def side_of(markers: Mapping[str, Float[np.ndarray, "n 3"]], axis: str) -> str | None:
     """`axis`, or `-axis` where that points up, by the side of the floor where the markers lie; None if on neither."""
-    return next((way for way in _ways(_some(markers)) if way[-1] == axis), None)
+    return next((direction for direction in _possible_directions(_some(markers)) if direction[-1] == axis), None)
 
 
 def _some(markers: Mapping[str, Float[np.ndarray, "n 3"]]) -> Float[np.ndarray, "n m 3"]:
@@ -66,26 +70,26 @@ def _some(markers: Mapping[str, Float[np.ndarray, "n 3"]]) -> Float[np.ndarray, 
     return points[np.isfinite(points).all(axis=2).any(axis=1)]
 
 
-def _along(points: Float[np.ndarray, "n m 3"], way: str) -> Float[np.ndarray, "n m"]:
-    return points[..., AXES.index(way[-1])] * (-1 if way[0] == "-" else 1)
+def _along(points: Float[np.ndarray, "n m 3"], direction: str) -> Float[np.ndarray, "n m"]:
+    return points[..., AXES.index(direction[-1])] * (-1 if direction[0] == "-" else 1)
 
 
-def _ways(points: Float[np.ndarray, "n m 3"]) -> list[str]:
-    """The ways that may be up: nothing is below the floor, and something is near it."""
-    ways = []
-    for way in (*AXES, *(f"-{axis}" for axis in AXES)):
-        height = _along(points, way)
+def _possible_directions(points: Float[np.ndarray, "n m 3"]) -> list[str]:
+    """The directions that may be up: nothing is below the floor, and something is near it."""
+    directions = []
+    for direction in (*AXES, *(f"-{axis}" for axis in AXES)):
+        height = _along(points, direction)
         height = height[np.isfinite(height)]
         if not height.size:
             continue
         lowest, middle = np.quantile(height, [MOST_BELOW, 0.5])
         if -BELOW < lowest < NEAR and middle > BELOW:
-            ways.append(way)
-    return ways
+            directions.append(direction)
+    return directions
 
 
-def _steady(points: Float[np.ndarray, "n m 3"], way: str) -> bool:
-    lowest = np.nanmin(_along(points, way), axis=1)
+def _steady(points: Float[np.ndarray, "n m 3"], direction: str) -> bool:
+    lowest = np.nanmin(_along(points, direction), axis=1)
     return bool(np.subtract(*np.quantile(lowest, [0.95, 0.05])) < BOUNCE)
 
 
