@@ -158,7 +158,7 @@ class _Reader(pickle.Unpickler):
         if module_name == __name__ and global_name in ("_array", "_number", "_on_device"):
             return globals()[global_name]
         if module_name.startswith("snakejax.") and "." not in global_name:
-            found = super().find_class(module_name, global_name)
-            if isinstance(found, type) and issubclass(found, tuple):
-                return found
+            class_ = super().find_class(module_name, global_name)
+            if isinstance(class_, type) and issubclass(class_, tuple):
+                return class_
         raise pickle.UnpicklingError(f"{module_name}.{global_name} is no result of a fit.")

@@ -57,15 +57,15 @@ def fit_heldout_starts(problem: Problem, values: dict[str, float], role: str = "
     return problem.fit(values, (), runs) if runs else None
 
 
-def problem_of(found: Fit) -> tuple[Problem, Solution]:
+def problem_of(fit: Fit) -> tuple[Problem, Solution]:
     """The problem and the optimum of a fit made again: one evaluation at its values, nothing is fitted."""
-    fitted, free = found.fitted, tuple(found.estimates)
+    fitted, free = fit.fitted, tuple(fit.estimates)
     problem = Problem.of(fitted.model, fitted.recordings, fitted.noise, free, max(len(free), 1), fitted.accuracy)
-    train, values = problem.run_indices("train"), {name: e.value for name, e in found.estimates.items()}
+    train, values = problem.run_indices("train"), {name: e.value for name, e in fit.estimates.items()}
     linearised = problem.evaluate(problem.at(values, free, fitted.starts), train)
     samples = problem.samples(train)
     misfit = float((np.asarray(linearised.residual)[train] ** 2).sum() / max(samples, 1))
-    held = tuple(name for name, estimate in found.estimates.items() if estimate.at_bound)
+    held = tuple(name for name, estimate in fit.estimates.items() if estimate.at_bound)
     return problem, Solution(
         values,
         free,
@@ -76,6 +76,6 @@ def problem_of(found: Fit) -> tuple[Problem, Solution]:
         misfit,
         samples,
         0,
-        found.converged,
-        found.rough,
+        fit.converged,
+        fit.rough,
     )

@@ -64,14 +64,14 @@ def fitted_model(model: Model, problem: Problem, solution: Solution, heldout: So
     starts = np.array(solution.start)
     residuals = []
     for k, run in enumerate(problem.runs):
-        found = heldout if run.role == "heldout" else solution
+        run_solution = heldout if run.role == "heldout" else solution
         n = run.times.shape[0]
-        if found is None:
+        if run_solution is None:
             residuals.append(np.full((n, 3), np.nan))
             continue
-        starts[k] = found.start[k]
+        starts[k] = run_solution.start[k]
         weight = np.asarray(problem.batch.weight)[k, :n]
-        residuals.append(np.where(weight > 0, np.asarray(found.linearised.residual)[k, :n], np.nan))
+        residuals.append(np.where(weight > 0, np.asarray(run_solution.linearised.residual)[k, :n], np.nan))
     return FittedModel(
         model,
         problem.runs,

@@ -132,13 +132,13 @@ def _solved_by_elimination(model, at: Variables, batch: Batch, runs: list[int], 
         return _in_threads(model, at, batch, [runs[k] for k in numbers], accuracy, z, all_starts)
 
     def of_runs(z: np.ndarray, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        found = at_point(z, starts, np.arange(len(runs)))
-        last["found"] = (z.copy(), starts.copy(), found)
-        return np.asarray(found.residual)[runs], np.asarray(found.jacobian)[runs]
+        linearised = at_point(z, starts, np.arange(len(runs)))
+        last["point"] = (z.copy(), starts.copy(), linearised)
+        return np.asarray(linearised.residual)[runs], np.asarray(linearised.jacobian)[runs]
 
     def of_some(starts: np.ndarray, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        found, some = at_point(np.zeros(width), starts, numbers), [runs[k] for k in numbers]
-        return np.asarray(found.residual)[some], np.asarray(found.jacobian)[some]
+        linearised, some = at_point(np.zeros(width), starts, numbers), [runs[k] for k in numbers]
+        return np.asarray(linearised.residual)[some], np.asarray(linearised.jacobian)[some]
 
     def robust(parts: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         if not np.isfinite(float(settings.threshold)):
@@ -152,13 +152,13 @@ def _solved_by_elimination(model, at: Variables, batch: Batch, runs: list[int], 
         solved = solve_many(of_runs, robust, free_start[runs], prior, ending)
     else:
         solved = solve_starts(of_some, robust, free_start[runs], width, ending)
-    if not (last and np.array_equal(last["found"][0], solved.z) and np.array_equal(last["found"][1], solved.starts)):
+    if not (last and np.array_equal(last["point"][0], solved.z) and np.array_equal(last["point"][1], solved.starts)):
         of_runs(solved.z, solved.starts)
     moves = np.zeros((R, free_start.shape[1]))
     moves[runs] = solved.starts
     values = retract(domains_of(model, at.names), at, jnp.asarray(solved.z))
     ended = eqx.tree_at(lambda u: (u.values, u.start), at, (values, at.start + at.free_start * jnp.asarray(moves)))
-    return ended, last["found"][2], solved.taken, solved.settled
+    return ended, last["point"][2], solved.taken, solved.settled
 
 
 def solve(
@@ -202,6 +202,6 @@ def evaluate(model: Model, at: Variables, batch: Batch, runs: list[int], accurac
     if len(runs) > MANY:
         moved = narrowed(at)
         kept = moved.directions.shape[0]
-        found = _in_threads(model, moved, batch, runs, accuracy, np.zeros(kept), np.zeros(batch.start.shape))
-        return widened(found, len(at.directions) - kept, kept)
+        linearised = _in_threads(model, moved, batch, runs, accuracy, np.zeros(kept), np.zeros(batch.start.shape))
+        return widened(linearised, len(at.directions) - kept, kept)
     return solve(model, at, batch, runs, accuracy, SolverSettings(most=1)).linearised

@@ -22,7 +22,7 @@ _HALVINGS = 8
 """Largest number of times that a sampled step outside the region is halved."""
 
 
-def posterior_samples(found: Fit, count: int, seed: int = 0, progress: Progress = no_progress) -> list[Model]:
+def posterior_samples(fit: Fit, count: int, seed: int = 0, progress: Progress = no_progress) -> list[Model]:
     """`count` models sampled from the normal approximation of the posterior of a fit.
 
     Steps of the interior parameters are sampled from N(0, covariance spread^2). A parameter at a bound is sampled
@@ -30,10 +30,10 @@ def posterior_samples(found: Fit, count: int, seed: int = 0, progress: Progress 
     follow by the linear model. A step that raises chi^2, with the start states refitted, beyond the 99 % region is
     halved until it does not: there the problem is far from linear.
     """
-    problem, best = problem_of(found)
+    problem, best = problem_of(fit)
     names, train = list(best.free), problem.run_indices("train")
     if not names:
-        return [found.model] * count
+        return [fit.model] * count
     rng = np.random.default_rng(seed)
     scale = spread(best)
     limit = stats.chi2.ppf(LIKELY, len(names)) * scale**2

@@ -70,7 +70,7 @@ def prediction_windows(recordings: Sequence[Run], lead: float, horizons: Sequenc
     A window counts where the vehicle moves during its lead-in and at least the first of the `horizons` [s] was
     measured. **Raises:** `InputError` where there is none.
     """
-    found = []
+    windows = []
     for recording in recordings:
         times, pose = np.asarray(recording.times), np.asarray(recording.pose)
         noise = frame_noise(pose)
@@ -80,11 +80,11 @@ def prediction_windows(recordings: Sequence[Run], lead: float, horizons: Sequenc
             for k in range(max(count, 0)):
                 window = _window(recording, part, first + lead + k * STRIDE, lead, horizons)
                 if window is not None:
-                    found.append(window._replace(noise=noise))
-    if not found:
+                    windows.append(window._replace(noise=noise))
+    if not windows:
         what = f"No recording has {lead:g} s and {horizons[0]:g} s after them without a gap in which the vehicle moves"
         raise InputError(what, "option --horizon", "take a shorter --lead or --horizon")
-    return found
+    return windows
 
 
 def _window(
@@ -102,9 +102,9 @@ def _window(
     # A recording that ends sooner is simulated all the same, so that all windows have one size.
     every = np.array([origin + h for h in horizons])
     inputs = _kept(recording.gait, times[led[0]] - HISTORY, every[-1] + AHEAD)
-    at, seen = np.concatenate([times[led], every]), np.concatenate([pose[led], np.full((len(every), 3), np.nan)])
+    at, poses = np.concatenate([times[led], every]), np.concatenate([pose[led], np.full((len(every), 3), np.nan)])
     name = f"{recording.name}@{origin:.2f}"
-    run = Run(name, recording.role, jnp.asarray(at), jnp.asarray(seen), inputs, recording.payload, True)
+    run = Run(name, recording.role, jnp.asarray(at), jnp.asarray(poses), inputs, recording.payload, True)
     return PredictionWindow(group_of(recording), run, len(led), known, measured, np.ones(3))
 
 
@@ -125,11 +125,11 @@ def _kept(inputs: AbstractInputs, first: float, last: float) -> AbstractInputs:
 def frame_noise(pose: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
     """The noise (3,) of one frame, x and y alike, by the third differences of what was seen: 0.67 sd is their median
     over sqrt(20). What it is of a vehicle in motion counts, so frames that repeat the one before are left out."""
-    seen = pose[np.isfinite(pose).all(axis=1)]
-    seen = seen[np.concatenate([[True], (np.diff(seen, axis=0) != 0).any(axis=1)])]
-    if len(seen) < 8:
+    measured = pose[np.isfinite(pose).all(axis=1)]
+    measured = measured[np.concatenate([[True], (np.diff(measured, axis=0) != 0).any(axis=1)])]
+    if len(measured) < 8:
         return np.full(3, LEAST_NOISE)
-    sd = np.median(np.abs(np.diff(seen, 3, axis=0)), axis=0) / (0.6745 * np.sqrt(20))
+    sd = np.median(np.abs(np.diff(measured, 3, axis=0)), axis=0) / (0.6745 * np.sqrt(20))
     place = float(np.sqrt((sd[0] ** 2 + sd[1] ** 2) / 2))
     return np.maximum([place, place, sd[2]], LEAST_NOISE)
 
@@ -143,12 +143,12 @@ def predicted(model: Model, windows: Sequence[PredictionWindow]) -> list[Float[n
     """
     problem = Problem.of(model, [_lead_of(w) for w in windows], Noise(jnp.ones(()), jnp.ones(()), source="none"), (), 1)
     noise = np.stack([w.noise for w in windows])[:, None, :]
-    seen = np.asarray(problem.batch.weight) > 0
-    problem = _weighted(problem, np.where(seen, 1 / noise, 0.0))
+    measured = np.asarray(problem.batch.weight) > 0
+    problem = _weighted(problem, np.where(measured, 1 / noise, 0.0))
     every = range(len(windows))
     rough = problem.fit({}, (), every)
-    factor = _older_counts_less(problem, rough, seen)
-    fine = _weighted(problem, np.where(seen, factor[..., None] / noise, 0.0)).fit({}, (), every, rough.start)
+    factor = _older_counts_less(problem, rough, measured)
+    fine = _weighted(problem, np.where(measured, factor[..., None] / noise, 0.0)).fit({}, (), every, rough.start)
     poses = replayed(model, [w.run for w in windows], np.asarray(fine.start))
     return [pose[w.led + np.array(w.known)] for pose, w in zip(poses, windows, strict=True)]
 
@@ -163,12 +163,12 @@ def _weighted(problem: Problem, weight: np.ndarray) -> Problem:
     return eqx.tree_at(lambda p: p.batch.weight, problem, jnp.asarray(weight))
 
 
-def _older_counts_less(problem: Problem, rough, seen: np.ndarray) -> Float[np.ndarray, "R n"]:
+def _older_counts_less(problem: Problem, rough, measured: np.ndarray) -> Float[np.ndarray, "R n"]:
     """1 / sqrt(1 + c (a / lead)^3) of every frame, a its age, by the linear problem at `rough`."""
     times = np.asarray(problem.batch.times)
     factor = np.ones(times.shape)
     for k in range(len(times)):
-        frames = np.flatnonzero(seen[k, :, 0])
+        frames = np.flatnonzero(measured[k, :, 0])
         age = times[k, frames[-1]] - times[k, frames]
         share = (age / max(age[0], 1e-9)) ** 3
         r = np.asarray(rough.linearised.residual[k])[frames]

@@ -9,14 +9,14 @@ from .problem import Solution
 from .uncertainty import spread
 
 
-def profile(found: Fit, name: str, quantile: float = 1.959964) -> tuple[float | None, float | None]:
+def profile(fit: Fit, name: str, quantile: float = 1.959964) -> tuple[float | None, float | None]:
     """Interval of one parameter: the values at which chi^2 / spread^2, all others refitted, rises by quantile^2.
 
     The default `quantile` gives the 95 % interval (Venzon and Moolgavkar 1988). Each end is bracketed by steps that
     grow by a factor 1.6 and then bisected to 1 % of a standard error, in at most 12 refits each. An end is None if
     chi^2 does not rise that far before the bound of the domain.
     """
-    problem, best = problem_of(found)
+    problem, best = problem_of(fit)
     train, others = problem.run_indices("train"), [n for n in best.loose if n != name]
     domain = domains_of(problem.model, [name])[0]
     scale, best_cost = spread(best) ** 2, best.misfit * best.samples

@@ -59,9 +59,9 @@ def _replay(model: Model, runs: Batch, starts: Float[np.ndarray, "R S"]):
     return jax.lax.map(lambda run: replay_run(*run), (runs.times, runs.gait, runs.payload, starts, runs.resting))
 
 
-def fitted_starts(found: Fit) -> Float[np.ndarray, "R S"]:
+def fitted_starts(fit: Fit) -> Float[np.ndarray, "R S"]:
     """Fitted start states of all runs, train and held-out: (R, 3), or (R, 6) if a run starts in motion."""
-    return np.array(found.fitted.starts)
+    return np.array(fit.fitted.starts)
 
 
 def starts_of(runs: Sequence[Run], pose: Sequence[float]) -> Float[np.ndarray, "R 3"]:

@@ -59,12 +59,12 @@ class WindowPrior(NamedTuple):
 
     def domains(self, problem: Problem, names: Sequence[str]) -> dict[str, Domain]:
         """The domains of the parameters `names` within their limits."""
-        found = dict(zip(names, domains_of(problem.model, names), strict=True))
+        domains = dict(zip(names, domains_of(problem.model, names), strict=True))
         return {
             name: domain._replace(**dict(zip(("low", "high"), self.limits[name], strict=True)))
             if name in self.limits
             else domain
-            for name, domain in found.items()
+            for name, domain in domains.items()
         }
 
 
@@ -140,7 +140,7 @@ def linearised_windows(
     return columns
 
 
-def _quotient(problem: Problem, point: WindowPoint, name: str, step: float, here: WindowColumns, windows, until):
+def _quotient(problem: Problem, point: WindowPoint, name: str, step: float, columns: WindowColumns, windows, until):
     """The difference quotient (W, m) of the residuals by one parameter; zero where a simulation failed."""
     domain, value = domains_of(problem.model, [name])[0], point.values[name]
 
@@ -149,7 +149,7 @@ def _quotient(problem: Problem, point: WindowPoint, name: str, step: float, here
 
     above = residual(value + step)
     low = value - step if value - step > domain.low else value
-    below = here.residual if low == value else residual(low)
+    below = columns.residual if low == value else residual(low)
     with np.errstate(invalid="ignore"):
         quotient = (above - below) / (value + step - low)
     return np.where(np.all(np.isfinite(quotient), axis=1)[:, None], quotient, 0.0)
@@ -164,9 +164,11 @@ def _derivatives(
         some = list(names[k : k + problem.width])
         # All directions are in use, so that one compiled program serves any number of parameters.
         some += [name for name in problem.names if name not in some][: problem.width - len(some)]
-        found = problem.evaluate(problem.at(point.values, some, point.start), windows, until)
-        jacobian = np.asarray(found.jacobian)[list(windows)].reshape(len(windows), -1, found.jacobian.shape[-1])
-        residual = np.asarray(found.residual)[list(windows)].reshape(len(windows), -1)
+        linearised = problem.evaluate(problem.at(point.values, some, point.start), windows, until)
+        jacobian = np.asarray(linearised.jacobian)[list(windows)].reshape(
+            len(windows), -1, linearised.jacobian.shape[-1]
+        )
+        residual = np.asarray(linearised.residual)[list(windows)].reshape(len(windows), -1)
         starts = jacobian[..., problem.width :] * np.asarray(problem.batch.free_start)[list(windows)][:, None, :]
         parts.append(jacobian[..., : min(problem.width, len(names) - k)])
     assert residual is not None and starts is not None

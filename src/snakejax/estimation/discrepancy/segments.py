@@ -302,8 +302,8 @@ class Segments:
         """
         every = np.arange(len(self.cut.run))
         sub = self._substeps(values)
-        found = self._with_steps(values, z, every, sub)
-        growth = self._growth(found)
+        linearised = self._with_steps(values, z, every, sub)
+        growth = self._growth(linearised)
         doubtful = every[~(growth < GROWN)]
         for _ in range(HALVINGS):
             if not doubtful.size:
@@ -311,20 +311,20 @@ class Segments:
             sub[doubtful] *= 2
             finer = self._with_steps(values, z, doubtful, sub)
             before, growth[doubtful] = growth[doubtful], self._growth(finer)
-            for whole, part in zip(found, finer, strict=True):
+            for whole, part in zip(linearised, finer, strict=True):
                 whole[doubtful] = part
             with np.errstate(invalid="ignore"):
                 same = np.abs(growth[doubtful] - before) < RESOLVED * growth[doubtful]
             doubtful = doubtful[~same]
-        return found
+        return linearised
 
-    def _growth(self, found: LinearisedSegments) -> np.ndarray:
+    def _growth(self, linearised: LinearisedSegments) -> np.ndarray:
         """The largest derivative (S,) of a velocity at the end of a segment by one at its start, both in standard
         deviations of the recorded velocities; infinite where a number is not finite."""
         size = self.smoothed[..., 3:BODY].std(axis=(0, 1))
         size = np.where(size > 0, size, 1.0)
-        largest = np.abs(found.end_z[:, 3:BODY, 3:BODY] * (size / size[:, None])).max(axis=(1, 2))
-        finite = np.all([np.isfinite(part.reshape(len(part), -1)).all(axis=1) for part in found], axis=0)
+        largest = np.abs(linearised.end_z[:, 3:BODY, 3:BODY] * (size / size[:, None])).max(axis=(1, 2))
+        finite = np.all([np.isfinite(part.reshape(len(part), -1)).all(axis=1) for part in linearised], axis=0)
         return np.where(finite, largest, np.inf)
 
     def _with_steps(
@@ -341,8 +341,8 @@ class Segments:
             segments, start = jax.tree.map(lambda leaf: jnp.asarray(leaf[padded]), (self.inputs, z))
             sub = jnp.asarray(steps[part].max())
             done = _linearised(self.model, self.names, self.multiplicative, point, sub, segments, start)
-            for target, found in zip(((pose, end), (d_pose, d_end)), done, strict=True):
-                for whole, values_ in zip(target, found, strict=True):
+            for target, results in zip(((pose, end), (d_pose, d_end)), done, strict=True):
+                for whole, values_ in zip(target, results, strict=True):
                     whole[part] = np.asarray(values_)[: len(part)]
 
         # Segments with nearly equal steps stand in one chunk.

@@ -54,42 +54,42 @@ def fit_logged(
     if clocked := any(free_clocks(run) for run in runs):
         names = default_free(model) if free is None else select_parameters(model, free)
         runs = window_clocks(model, runs, noise, names, progress)
-    found = fitted_workspace(model, runs, noise, free, threshold=threshold, progress=progress)
-    runs_with_noise = with_log_noise(found, progress)
+    workspace = fitted_workspace(model, runs, noise, free, threshold=threshold, progress=progress)
+    runs_with_noise = with_log_noise(workspace, progress)
     if runs_with_noise is not None:
-        found = _refitted(found, runs_with_noise, threshold)
+        workspace = _refitted(workspace, runs_with_noise, threshold)
     if clocked:
-        found = with_aligned_logs(found, threshold, progress)
-    return with_clock_errors(found, progress).result()
+        workspace = with_aligned_logs(workspace, threshold, progress)
+    return with_clock_errors(workspace, progress).result()
 
 
-def with_aligned_logs(found: FitWorkspace, threshold: float, progress: Progress) -> FitWorkspace:
-    """`found` refitted until the clocks converge. **Raises:** `FitError` if the runs do not determine them."""
+def with_aligned_logs(workspace: FitWorkspace, threshold: float, progress: Progress) -> FitWorkspace:
+    """`workspace` refitted until the clocks converge. **Raises:** `FitError` if the runs do not determine them."""
     for _ in range(ROUNDS):
         progress(ProgressEvent(Phase.LOG_CLOCKS))
-        runs, moved = align_logs(found)
-        found = _refitted(found, runs, threshold)
+        runs, moved = align_logs(workspace)
+        workspace = _refitted(workspace, runs, threshold)
         if moved < STILL:
             break
-    return found
+    return workspace
 
 
-def _refitted(found: FitWorkspace, runs: Sequence[Run], threshold: float) -> FitWorkspace:
-    """The fit of changed `runs`, started from the optimum of `found`."""
-    before, began = found.problem, found.solution
+def _refitted(workspace: FitWorkspace, runs: Sequence[Run], threshold: float) -> FitWorkspace:
+    """The fit of changed `runs`, started from the optimum of `workspace`."""
+    before, began = workspace.problem, workspace.solution
     problem = Problem.of(before.model, runs, before.noise, before.names, before.width, before.accuracy)
     train = problem.run_indices("train")
     solution = problem.fit(began.values, began.free, train, began.start, threshold=threshold)
     return fit_workspace(problem, require_consistent_derivative(problem, solution, train))
 
 
-def with_log_noise(found: FitWorkspace, progress: Progress = no_progress) -> tuple[Run, ...] | None:
-    """The runs of `found` with the `wander` of their logs; None without log noise, or above the misfit `FAR_OFF`."""
-    if not (any(is_noisy(run.gait) for run in found.problem.runs) and found.solution.misfit < FAR_OFF):
+def with_log_noise(workspace: FitWorkspace, progress: Progress = no_progress) -> tuple[Run, ...] | None:
+    """The runs of `workspace` with the `wander` of their logs; None without noise of logs, or above `FAR_OFF`."""
+    if not (any(is_noisy(run.gait) for run in workspace.problem.runs) and workspace.solution.misfit < FAR_OFF):
         return None
     progress(ProgressEvent(Phase.LOG_NOISE))
     try:
-        return log_noise_root(found.fitted.model, found.problem.runs, found.fitted.starts)
+        return log_noise_root(workspace.fitted.model, workspace.problem.runs, workspace.fitted.starts)
     except FitError:
         return None
 
@@ -111,18 +111,18 @@ def with_estimated_logs(model: Model, case: Case, noise: Noise, progress: Progre
     return case
 
 
-def align_logs(found: FitWorkspace) -> tuple[tuple[Run, ...], float]:
-    """The runs of `found` with their free clocks moved by a Gauss-Newton step, and the largest step in standard errors.
+def align_logs(workspace: FitWorkspace) -> tuple[tuple[Run, ...], float]:
+    """The runs of `workspace` with free clocks moved by a Gauss-Newton step, and the largest step in standard errors.
 
     The clocks of held-out runs are estimated under the fitted parameters, as their start states are.
     """
-    problem = found.problem
+    problem = workspace.problem
     runs, moved = list(problem.runs), 0.0
-    for role, solution in (("train", found.solution), ("heldout", found.heldout)):
+    for role, solution in (("train", workspace.solution), ("heldout", workspace.heldout)):
         numbers = [k for k in problem.run_indices(role) if (log := problem.runs[k].log) is not None and log.free]
         if solution is None or not numbers:
             continue
-        joint = _linear(problem, solution, problem.run_indices(role), found.solution)
+        joint = _linear(problem, solution, problem.run_indices(role), workspace.solution)
         step, errors = joint.step(solution.linearised.residual), np.sqrt(np.diag(joint.covariance)) * spread(solution)
         sds_of = clock_sensitivity(problem.runs, joint.numbers, errors)
         for k, steps in clock_sensitivity(problem.runs, joint.numbers, step).items():
@@ -131,17 +131,17 @@ def align_logs(found: FitWorkspace) -> tuple[tuple[Run, ...], float]:
     return tuple(runs), moved
 
 
-def with_clock_errors(found: FitWorkspace, progress: Progress = no_progress) -> FitWorkspace:
-    """`found` with standard errors that include the free clocks of the joint logs; unchanged if there are none."""
-    problem, solution = found.problem, found.solution
+def with_clock_errors(workspace: FitWorkspace, progress: Progress = no_progress) -> FitWorkspace:
+    """`workspace` with standard errors that include the free clocks of the joint logs; unchanged if there are none."""
+    problem, solution = workspace.problem, workspace.solution
     if not any(free_clocks(run) for run in problem.runs) or solution.rough:
-        return found
+        return workspace
     progress(ProgressEvent(Phase.LOG_CLOCK_ERRORS))
     joint = _linear(problem, solution, problem.run_indices("train"), solution)
     runs = list(problem.runs)
     wider = solution._replace(covariance=joint.covariance[joint.clock_count :, joint.clock_count :])
     _set_errors(runs, joint, np.sqrt(np.diag(joint.covariance)) * spread(solution))
-    if (heldout := found.heldout) is not None:
+    if (heldout := workspace.heldout) is not None:
         heldout_joint = _linear(problem, heldout, problem.run_indices("heldout"), wider)
         _set_errors(runs, heldout_joint, np.sqrt(np.diag(heldout_joint.covariance)) * spread(heldout))
     return fit_workspace(dataclasses.replace(problem, runs=tuple(runs)), wider)
