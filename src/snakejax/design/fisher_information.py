@@ -141,15 +141,15 @@ def require_strengths(effects: Collection[str]) -> None:
         raise InputError(what, WHERE, "let `snakejax explain` decide it by a refit, and name two other effects")
 
 
-def prior_information(found: Fit, library: Mapping[str, Effect], held: Collection[str] = ()) -> PriorInformation:
+def prior_information(fit: Fit, library: Mapping[str, Effect], held: Collection[str] = ()) -> PriorInformation:
     """Fisher information of the train runs of a fit on its parameters and on every applicable effect of `library`.
 
     The parameters `held`, by their full names, keep the values that the effects have.
     **Raises:** `FitError` if the sensitivities of a run are not finite.
     """
-    model, places, left_out = found.model, {}, {}
-    names = [name for name in found.fitted.loose if not name.startswith("effects.")]
-    names += [name for name in found.fitted.loose if name.startswith("effects.")]
+    model, places, left_out = fit.model, {}, {}
+    names = [name for name in fit.fitted.loose if not name.startswith("effects.")]
+    names += [name for name in fit.fitted.loose if name.startswith("effects.")]
     tyre = len(names)
     for name, effect in library.items():
         if name in model.effects:
@@ -161,8 +161,8 @@ def prior_information(found: Fit, library: Mapping[str, Effect], held: Collectio
             parameter_names = [full for part in parameters(effect) if (full := f"effects.{name}.{part}") not in held]
             places[name] = tuple(range(len(names), len(names) + len(parameter_names)))
             names += parameter_names
-    problem = Problem.of(model, found.recordings, found.fitted.noise, names, max(len(names), 1))
-    train, values, start = problem.run_indices("train"), problem.values(), found.fitted.starts
+    problem = Problem.of(model, fit.recordings, fit.fitted.noise, names, max(len(names), 1))
+    train, values, start = problem.run_indices("train"), problem.values(), fit.fitted.starts
     sensitivities = Sensitivities(
         problem, tuple(train), values, start, linearise_windows(problem, values, start, train)
     )
