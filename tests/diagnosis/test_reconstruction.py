@@ -77,7 +77,7 @@ def test_a_recording_asks_for_the_tyre_it_was_made_with_whatever_the_model_says(
 def test_the_means_lie_on_the_true_curve_within_their_errors() -> None:
     found = fitted()
     told = tyre_forces(found.fitted, replay_fit(found))
-    means = told.asked
+    means = told.demand
     assert means is not None and not told.viscous
     true = np.interp(means.slip, told.curve.slip, SLIPPERY.force(told.curve.slip, jnp.zeros(told.curve.slip.size)))
     slope = np.interp(means.slip, told.curve.slip, np.gradient(told.curve.force, told.curve.slip))

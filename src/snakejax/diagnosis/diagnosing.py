@@ -102,7 +102,9 @@ def diagnose_base(
     if len(options) > 1:
         progress(ProgressEvent(Phase.REFITTING_OTHER_STRUCTURE, f"refitting with {LATERAL_SLIP_SWITCH}"))
         other = CandidateSet.of(options[1], case, noise, library, switched=True, criteria=criteria, how=how)
-        there = CandidateFit(step.effects, base_fit(other, with_, progress))
-        ranking = insert_by_refit(ranking, RankedCandidate(LATERAL_SLIP_SWITCH, None, None, there.solution, (), None))
-        switched = (other, there)
+        other_step = CandidateFit(step.effects, base_fit(other, with_, progress))
+        ranking = insert_by_refit(
+            ranking, RankedCandidate(LATERAL_SLIP_SWITCH, None, None, other_step.solution, (), None)
+        )
+        switched = (other, other_step)
     return BaseDiagnosis(selection_step(candidate_set, "base", "", step, ranking), switched)

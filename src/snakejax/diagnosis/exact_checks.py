@@ -29,5 +29,5 @@ def odd_runs_beside(candidate_set: CandidateSet, step: CandidateFit) -> tuple[Od
     fitted = [columns[name] for name in candidate_set.free(step.effects) if name not in step.solution.held]
     runs = [problem.runs[k].name for k in candidate_set.train]
     known = parameters(problem.model)
-    found = odd_runs(run_grams(rest.residual, -rest.columns, rest.run), runs, columns, fitted)
-    return tuple(odd.in_units(known[odd.parameter].domain, float(values[odd.parameter])) for odd in found)
+    shifts = odd_runs(run_grams(rest.residual, -rest.columns, rest.run), runs, columns, fitted)
+    return tuple(shift.in_units(known[shift.parameter].domain, float(values[shift.parameter])) for shift in shifts)

@@ -64,10 +64,10 @@ def explain(
     """
     progress = question.get("progress", no_progress)
     if windows.supports(case):
-        found = windows.explain_windows(case, noise, library, **question)
-        for step in found.steps:
+        explanation = windows.explain_windows(case, noise, library, **question)
+        for step in explanation.steps:
             show(step)
-        return found
+        return explanation
     logged = any(free_clocks(run) or is_noisy(run.gait) for run in case.runs)
     if logged:
         case = with_estimated_logs(start_of(case, question), case, noise, progress)
@@ -83,11 +83,11 @@ def explain(
         case = improved
         diagnosis = diagnose_base(case, noise, library, **question)
     if not _one_effect_explains(diagnosis):
-        found = _when_no_model_is_exact(case, noise, diagnosis, progress)
-        if found is not None:
-            for step in found.steps if logged else found.steps[1:]:
+        explanation = _when_no_model_is_exact(case, noise, diagnosis, progress)
+        if explanation is not None:
+            for step in explanation.steps if logged else explanation.steps[1:]:
                 show(step)
-            return found
+            return explanation
     working_steps = [diagnosis.base, *_steps_beyond_base(diagnosis, progress, show_now)]
     for _ in range(diagnosis.base.candidate_set.criteria.log_clock_rounds if logged else 0):
         last = working_steps[-1]
@@ -185,17 +185,17 @@ def _when_no_model_is_exact(
     if not supports(candidate_set):
         return None
     try:
-        found = assess_effects(case, noise, candidate_set, diagnosis.base.step.effects, progress)
+        assessment = assess_effects(case, noise, candidate_set, diagnosis.base.step.effects, progress)
     except FitError:
         return None
     criteria = candidate_set.criteria
-    if found.world.exact or found.random_force_share > criteria.largest_random_force:
+    if assessment.world.exact or assessment.random_force_share > criteria.largest_random_force:
         return None
-    if found.inside("train") < criteria.least_inside:
+    if assessment.inside("train") < criteria.least_inside:
         return None
     base = None if diagnosis.switched else diagnosis.base.step.solution
-    steps = (diagnosis.base.record, *steps_of(found, base))
-    return explanation_of(case, noise, found, criteria, steps) if _lower_error(steps) else None
+    steps = (diagnosis.base.record, *steps_of(assessment, base))
+    return explanation_of(case, noise, assessment, criteria, steps) if _lower_error(steps) else None
 
 
 def _lower_error(steps: Sequence[SelectionStep]) -> bool:
@@ -278,10 +278,10 @@ def _with_laws(
     if missing.switched and diagnosis.switched is not None:
         like = selection_step(diagnosis.switched[0], "added", LATERAL_SLIP_SWITCH, diagnosis.switched[1])
         steps.append(like)
-    found = best_laws(case, noise, like, last, missing, progress)
-    for added in found:
+    laws = best_laws(case, noise, like, last, missing, progress)
+    for added in laws:
         steps.append(selection_step(added.candidate_set, "added", added.names[-1], added.fit))
-    return steps if found else []
+    return steps if laws else []
 
 
 def _conclude_with_law(

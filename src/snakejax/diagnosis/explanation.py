@@ -65,9 +65,9 @@ def run_bands(runs: Sequence[Run], residuals: Sequence[np.ndarray], sds: Sequenc
     for run, residual, sd in zip(runs, residuals, sds, strict=True):
         times = np.asarray(run.times)
         residual, sd = residual[: len(times)], sd[: len(times)]
-        seen = np.isfinite(residual)
-        if seen.any():
-            inside = float((np.abs(residual[seen]) <= BAND * sd[seen]).mean())
+        measured = np.isfinite(residual)
+        if measured.any():
+            inside = float((np.abs(residual[measured]) <= BAND * sd[measured]).mean())
             bands.append(RunBand(run.name, run.role, inside, times, residual, sd))
     return tuple(bands)
 
@@ -144,12 +144,12 @@ class Explanation(Tabular):
 
     def headline(self) -> str:
         """The verdict, the error before and after in multiples of the noise, and the runs."""
-        told = self.verdict + (f" by {listed(self.effects)}" if self.effects and self.verdict == "explained" else "")
+        verdict = self.verdict + (f" by {listed(self.effects)}" if self.effects and self.verdict == "explained" else "")
         beside = f" but for {listed(self.effects)}" if self.effects and self.verdict == "unexplained" else ""
         helped = f"; {listed(self.partial)} helped" if self.partial else ""
         ends = [self.base] if len(self.steps) == 1 else [self.base, self.final]
         error = " -> ".join(three_digits(step.train.times_noise) for step in ends)
-        return f"{told}{beside}; {error} times the noise{helped}; {self.base.fitted.runs_text}"
+        return f"{verdict}{beside}; {error} times the noise{helped}; {self.base.fitted.runs_text}"
 
     def columns(self) -> dict[str, list[Any]]:
         """A row for each step, with its errors on train and on held-out runs."""

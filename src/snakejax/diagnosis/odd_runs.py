@@ -74,7 +74,7 @@ def odd_runs(
         normal = normal + np.diag(precision[list(fitted)])
     inverse = scaled_inverse(normal)
     step = inverse @ total[rows, 0]
-    found = []
+    shifts = []
     for run, one in zip(runs, gram, strict=True):
         scores = [_score(one, rows, inverse, step, k + 1) for k in names.values()]
         best = int(np.argmax([fall for fall, _, _ in scores]))
@@ -83,8 +83,8 @@ def odd_runs(
         if p < LEVEL:
             near = [name for name, s in zip(names, scores, strict=True) if s[0] > fall - ALIKE]
             parameter = list(names)[best]
-            found.append(OddRun(run, parameter, shift, sd, p, tuple(name for name in near if name != parameter)))
-    return tuple(sorted(found, key=lambda odd: odd.p_value))
+            shifts.append(OddRun(run, parameter, shift, sd, p, tuple(name for name in near if name != parameter)))
+    return tuple(sorted(shifts, key=lambda odd: odd.p_value))
 
 
 def _score(gram: np.ndarray, rows: np.ndarray, inverse: np.ndarray, step: np.ndarray, k: int) -> tuple[float, ...]:

@@ -129,16 +129,16 @@ class ForceEstimator(eqx.Module):
         pairs = zip(self.owner, self.first, strict=True)
         return np.array([force[run][first : first + self.knots] for run, first in pairs])
 
-    def windows(self, found: ForceLinearisation, force: Sequence[np.ndarray]) -> list[Window]:
+    def windows(self, linearised: ForceLinearisation, force: Sequence[np.ndarray]) -> list[Window]:
         """Each window with its start state projected out, linear in the force as a whole and not in its change."""
         free_start, made = np.asarray(self.batch.free_start), []
         local, memories = self.local(force), self.model.memories
         for k in range(len(self.owner)):
-            rows = found.residual[k].size
-            r = found.residual[k].reshape(rows)
-            P, S, F, G = (-part[k].reshape(rows, -1) for part in found[1:5])
-            seen = np.abs(S).sum(axis=1) > 0
-            r, P, S, F, G = (part[seen] for part in (r, P, S, F, G))
+            rows = linearised.residual[k].size
+            r = linearised.residual[k].reshape(rows)
+            P, S, F, G = (-part[k].reshape(rows, -1) for part in linearised[1:5])
+            measured = np.abs(S).sum(axis=1) > 0
+            r, P, S, F, G = (part[measured] for part in (r, P, S, F, G))
             reach = np.append(REACH, np.full(memories, MEMORY))
             brake = np.diag(1 / reach)[:, free_start[k] > 0]
             q, t = np.linalg.qr(np.concatenate([S[:, free_start[k] > 0], brake]))
@@ -185,9 +185,9 @@ class ForceEstimator(eqx.Module):
         force = [share * new + (1 - share) * old for new, old in zip(post.force, point.force, strict=True)]
         return ForcePoint(np.array(values), start, tuple(force))
 
-    def total(self, found: ForceLinearisation, point: ForcePoint, prior: Prior) -> float:
+    def total(self, linearised: ForceLinearisation, point: ForcePoint, prior: Prior) -> float:
         """The square of the residuals, and of how far the force and the parameters are from what is expected."""
-        square = float((found.residual**2).sum())
+        square = float((linearised.residual**2).sum())
         for force in point.force:
             root = prior.root(len(force))
             square += float((linalg.solve_triangular(root, force / prior.sd, lower=True) ** 2).sum())
@@ -199,9 +199,9 @@ class ForceEstimator(eqx.Module):
     def settled(self, start: np.ndarray) -> "ForceSolution":
         """Parameters, start states and force, by Gauss-Newton from no force at all."""
         point = ForcePoint(self.values(), start, tuple(np.zeros((count, 3)) for count in self.counts))
-        prior, found, steady = FIRST, self.linearise(point), False
+        prior, linearised, steady = FIRST, self.linearise(point), False
         for _ in range(ROUNDS):
-            windows = self.windows(found, point.force)
+            windows = self.windows(linearised, point.force)
             normal = self.normal(windows)
             if not steady:
                 last, prior = (
@@ -210,20 +210,20 @@ class ForceEstimator(eqx.Module):
                 )
                 steady = prior.near(last)
             post = posterior(normal, prior, self.typical(point.values))
-            before, share, gain = self.total(found, point, prior), 1.0, 0.0
-            trial, there = point, found
+            before, share, gain = self.total(linearised, point, prior), 1.0, 0.0
+            trial, trial_linearised = point, linearised
             while share > 0.01 and gain <= 0:
                 trial = self.moved(point, windows, post, share)
-                there = self.linearise(trial)
-                gain, share = before - self.total(there, trial, prior), share / 3
+                trial_linearised = self.linearise(trial)
+                gain, share = before - self.total(trial_linearised, trial, prior), share / 3
             if gain > 0:
-                point, found = trial, there
+                point, linearised = trial, trial_linearised
             if gain < ENOUGH * before:
                 break
-        windows = self.windows(found, point.force)
+        windows = self.windows(linearised, point.force)
         normal = self.normal(windows)
         post = posterior(normal, prior, self.typical(point.values), sd=True)
-        return ForceSolution(point, found, windows, prior, post, observable_components(normal))
+        return ForceSolution(point, linearised, windows, prior, post, observable_components(normal))
 
 
 class ForceSolution(NamedTuple):

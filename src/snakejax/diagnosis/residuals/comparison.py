@@ -70,14 +70,14 @@ class ModelScore(NamedTuple):
     converged: bool | None = None
 
 
-def compare(found: Fit, *, length: float = 1.0, count: int = 8) -> Comparison:
-    """Where `found` fails: over stretches of `length` [s], and the `count` worst moments."""
-    seen = [scene.track for scene in replay_fit(found)]
+def compare(fitted: Fit, *, length: float = 1.0, count: int = 8) -> Comparison:
+    """Where `fitted` fails: over stretches of `length` [s], and the `count` worst moments."""
+    tracks = [scene.track for scene in replay_fit(fitted)]
     return Comparison(
-        tuple(stretch for track in seen for stretch in interval_misfits(track, length)),
-        largest_residuals(seen, count, length),
-        tuple(test for track in seen for test in whiteness(track)),
-        residual_dependence([track for track in seen if track.role == "train"]),
+        tuple(stretch for track in tracks for stretch in interval_misfits(track, length)),
+        largest_residuals(tracks, count, length),
+        tuple(test for track in tracks for test in whiteness(track)),
+        residual_dependence([track for track in tracks if track.role == "train"]),
     )
 
 
@@ -93,9 +93,9 @@ def compare_models(
 
     def side(kind: str) -> ModelScore:
         try:
-            found = fit(starting_model(case, kind), case.runs, noise)
+            fitted = fit(starting_model(case, kind), case.runs, noise)
         except FitError as error:
             return ModelScore(kind, None, None, str(error))
-        return ModelScore(kind, found.train_score, found.heldout_score, None, found.converged)
+        return ModelScore(kind, fitted.train_score, fitted.heldout_score, None, fitted.converged)
 
     return tuple(side(kind) for kind in kinds)

@@ -29,15 +29,15 @@ def horizon_errors(fitted: FittedModel, role: str, horizons: Sequence[float] = H
     The simulated path of a whole run is laid on the measured one at each known pose, and compared `seconds` later: with
     pose (x, y, h) the path ahead is R(-h_0) (x - x_0, y - y_0), h - h_0. Velocities are those of the simulation.
     """
-    found = []
+    rows = []
     for seconds in horizons:
         errors = [_errors(fitted, k, seconds) for k in fitted.numbered(role)]
         errors = [error for error in errors if len(error)]
         if errors:
             square = np.mean(np.concatenate(errors) ** 2, axis=0)
             count = sum(map(len, errors))
-            found.append(HorizonError(seconds, float(np.sqrt(square[0] + square[1])), float(np.sqrt(square[2])), count))
-    return tuple(found)
+            rows.append(HorizonError(seconds, float(np.sqrt(square[0] + square[1])), float(np.sqrt(square[2])), count))
+    return tuple(rows)
 
 
 def _errors(fitted: FittedModel, run: int, seconds: float) -> Float[np.ndarray, "k 3"]:

@@ -72,10 +72,10 @@ class Curve(NamedTuple):
 
 
 class TyreForces(NamedTuple):
-    """The tyre of one fit: its `curve`, and what the train runs ask of it; `viscous`: slip is a speed [m/s]."""
+    """The tyre of one fit: its `curve`, and the `demand` of the train runs on it; `viscous`: slip is a speed [m/s]."""
 
     curve: Curve
-    asked: Binned | None
+    demand: Binned | None
     viscous: bool
 
 
@@ -90,10 +90,10 @@ class _Push(LateralForce):
         return force + self.force if wheel.wheelset.place == self.place else force
 
 
-def tyre_forces(fitted: FittedModel, seen: Sequence[RunReplay]) -> TyreForces:
-    """The tyre of `fitted` and what the train runs among `seen`, the scenes of its recordings, ask of it."""
+def tyre_forces(fitted: FittedModel, scenes: Sequence[RunReplay]) -> TyreForces:
+    """The tyre of `fitted` and what the train runs among the `scenes` of its recordings ask of it."""
     viscous = isinstance(fitted.model.tyre.of_axle("front"), Rayleigh)
-    train = [scene for scene in seen if scene.role == "train"]
+    train = [scene for scene in scenes if scene.role == "train"]
     felt = [a for scene in train if (a := reconstruct_forces(fitted, scene)) is not None]
     means = binned(felt)
     reached = [np.abs(s.slip_speed if viscous else s.slip).max() for s in train]
@@ -150,8 +150,8 @@ def reconstruct_forces(fitted: FittedModel, scene: RunReplay) -> ReconstructedFo
         (scene.times, scene.states, np.nan_to_num(shift), np.nan_to_num(sd)),
     )
     viscous = isinstance(model.tyre.of_axle("front"), Rayleigh)
-    found = _asked(model, run.gait, run.payload, times, states, shift, sd, viscous)
-    slip, force, error, speed = (np.asarray(part)[: usable.size] for part in found)
+    reconstruction = _slip_and_force(model, run.gait, run.payload, times, states, shift, sd, viscous)
+    slip, force, error, speed = (np.asarray(part)[: usable.size] for part in reconstruction)
     clear = usable[:, None] & (speed > slowest) & (error > 0)
     modelled = (scene.slip_speed if viscous else scene.slip)[kept]
     # A slip angle is the less certain, the slower the wheelset.
@@ -160,7 +160,7 @@ def reconstruct_forces(fitted: FittedModel, scene: RunReplay) -> ReconstructedFo
 
 
 @eqx.filter_jit
-def _asked(model: Model, gait, payload, times, states, shift, sd, viscous: bool):
+def _slip_and_force(model: Model, gait, payload, times, states, shift, sd, viscous: bool):
     """Slip and force at each instant, the force's standard deviation, and the speed."""
     model = model.with_traced_payload(payload)
     board = model.effective_vehicle()
@@ -213,11 +213,11 @@ def binned(parts: Sequence[ReconstructedForces]) -> Binned | None:
         return None
     modelled, slip, force, weight = (part[usable] for part in (modelled, slip, force, weight))
     rows = []
-    for mine in np.array_split(np.argsort(modelled), min(BINS, usable.sum() // FEWEST)):
-        w = weight[mine] / weight[mine].sum()
-        means = [w @ part[mine] for part in (slip, force)]
+    for members in np.array_split(np.argsort(modelled), min(BINS, usable.sum() // FEWEST)):
+        w = weight[members] / weight[members].sum()
+        means = [w @ part[members] for part in (slip, force)]
         errors = [
-            np.sqrt(w @ w / (1 - w @ w) * (w @ (part[mine] - mean) ** 2))
+            np.sqrt(w @ w / (1 - w @ w) * (w @ (part[members] - mean) ** 2))
             for part, mean in zip((slip, force), means, strict=True)
         ]
         rows.append((*means, *errors))

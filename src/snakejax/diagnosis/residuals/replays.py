@@ -83,9 +83,9 @@ def replay_runs(fitted: FittedModel) -> tuple[RunReplay, ...]:
     return tuple(scenes)
 
 
-def replay_fit(found: Fit) -> tuple[RunReplay, ...]:
+def replay_fit(fit: Fit) -> tuple[RunReplay, ...]:
     """Every run of a fit, train runs first."""
-    return replay_runs(found.fitted)
+    return replay_runs(fit.fitted)
 
 
 def replay_model(model: Model, runs: Sequence[Run], starts: Float[np.ndarray, "R S"]) -> tuple[RunReplay, ...]:

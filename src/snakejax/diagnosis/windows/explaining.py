@@ -82,7 +82,9 @@ def _beside_structure(base: SelectionStep, relaxed: SelectionStep, gain: Gain) -
     return dataclasses.replace(base, ranking=ranking)
 
 
-def _asked(case: Case, noise: Noise, library: Mapping[str, Effect], question: DiagnosisOptions) -> WindowQuestion:
+def _window_question(
+    case: Case, noise: Noise, library: Mapping[str, Effect], question: DiagnosisOptions
+) -> WindowQuestion:
     """The question with all that it needs."""
     criteria = question.get("criteria") or SelectionCriteria.of(case)
     progress = question.get("progress", no_progress)
@@ -103,12 +105,12 @@ def diagnose_windows(
 
     **Raises:** `FitError` where the simulation of every window fails.
     """
-    asked = _asked(case, noise, library, question)
-    base = asked.first(0)
-    step = asked.step(0, base)
-    if len(asked.sets) > 1:
-        relaxed = asked.first(1)
-        step = _beside_structure(step, asked.step(1, relaxed), left_out_gain(base.linear, relaxed.linear))
+    window_question = _window_question(case, noise, library, question)
+    base = window_question.first(0)
+    step = window_question.step(0, base)
+    if len(window_question.sets) > 1:
+        relaxed = window_question.first(1)
+        step = _beside_structure(step, window_question.step(1, relaxed), left_out_gain(base.linear, relaxed.linear))
     return Diagnosis(case, noise, step)
 
 
@@ -119,20 +121,20 @@ def explain_windows(
 
     **Raises:** `FitError` where the simulation of every window fails.
     """
-    asked = _asked(case, noise, library, question)
-    base = asked.first(0)
+    window_question = _window_question(case, noise, library, question)
+    base = window_question.first(0)
     path, gain = [(0, base)], None
-    if len(asked.sets) > 1:
-        relaxed = asked.first(1)
+    if len(window_question.sets) > 1:
+        relaxed = window_question.first(1)
         gain = left_out_gain(base.linear, relaxed.linear)
         if gain.predicts:
             path.append((1, relaxed))
     number, last = path[-1]
-    path += [(number, state) for state in further_states(asked.searches[number], last)]
-    steps = [asked.step(k, state) for k, state in path]
+    path += [(number, state) for state in further_states(window_question.searches[number], last)]
+    steps = [window_question.step(k, state) for k, state in path]
     if gain is not None and gain.predicts:
         steps[0] = _beside_structure(steps[0], steps[1], gain)
-    return _explanation(case, noise, steps, [(asked.searches[k], state) for k, state in path])
+    return _explanation(case, noise, steps, [(window_question.searches[k], state) for k, state in path])
 
 
 def window_search(
@@ -202,13 +204,15 @@ def _explanation(
     )
 
 
-def _confidence(found: Candidate, others: tuple[str, ...], criteria: SelectionCriteria, search: WindowSearch) -> str:
+def _confidence(
+    candidate: Candidate, others: tuple[str, ...], criteria: SelectionCriteria, search: WindowSearch
+) -> str:
     """`ambiguous` where recordings left out cannot tell another from it, `sure` where its p-value holds for the whole
     family of candidates, else `likely`."""
     if others:
         return AMBIGUOUS
     family = len(search.model.candidates)
-    return SURE if found.p_value * family < criteria.significance_level else LIKELY
+    return SURE if candidate.p_value * family < criteria.significance_level else LIKELY
 
 
 def _median_error(step: SelectionStep) -> tuple[float, float]:

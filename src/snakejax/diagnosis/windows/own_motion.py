@@ -60,8 +60,8 @@ def own_errors(runs: Sequence[Run], noise: Float[np.ndarray, "3"]) -> Float[np.n
 def _own_motion(run: Run, noise: np.ndarray, rate: float | None) -> tuple[np.ndarray, tuple[float, float]]:
     """The numbers (7,) of the motion of one run, the last of which is its yaw `rate` unless given; and its errors."""
     times, pose = np.asarray(run.times), np.asarray(run.pose)
-    seen = np.isfinite(pose).all(axis=1)
-    t, pose = times[seen] - times[seen][0], pose[seen]
+    measured = np.isfinite(pose).all(axis=1)
+    t, pose = times[measured] - times[measured][0], pose[measured]
 
     def complete(p: np.ndarray) -> np.ndarray:
         return p if rate is None else np.append(p, rate)
@@ -76,12 +76,12 @@ def _own_motion(run: Run, noise: np.ndarray, rate: float | None) -> tuple[np.nda
     turned = np.polyfit(t, pose[:, 2], 1)
     speed = np.hypot(*np.diff(pose[:, :2], axis=0).T).sum() / max(t[-1], 1e-9)
     start = np.array([*pose[0, :2], turned[1], speed, 0.0, 0.0, turned[0]])
-    found = optimize.least_squares(lambda p: residual(p).ravel(), start if rate is None else start[:-1], method="lm")
-    error = residual(found.x) * noise
+    optimum = optimize.least_squares(lambda p: residual(p).ravel(), start if rate is None else start[:-1], method="lm")
+    error = residual(optimum.x) * noise
     # Each of the three channels has a third of the numbers.
-    samples = max(len(t) - len(found.x) / 3, 1)
+    samples = max(len(t) - len(optimum.x) / 3, 1)
     rms = np.sqrt((error[:, :2] ** 2).sum() / samples), np.sqrt((error[:, 2] ** 2).sum() / samples)
-    return complete(found.x), (float(rms[0]), float(rms[1]))
+    return complete(optimum.x), (float(rms[0]), float(rms[1]))
 
 
 def own_floor(runs: Sequence[Run], noise: Float[np.ndarray, "3"]) -> PoseError | None:

@@ -78,12 +78,12 @@ class WindowProblem(NamedTuple):
         """The robust error (F,) of each recording under parameters from the others, in windows as far off as `scale`
         (default: that of the point): the sum of ln(1 + c_w / s^2)."""
         effects, scale = list(effects), scale_of(self.mean_square) if scale is None else scale
-        found = []
+        errors = []
         for windows, whole in zip(self.each, self.gram, strict=True):
             weights = np.concatenate([[1.0], -self.subsets.with_effects(effects, self.subsets.gram - whole).step])
             square = np.maximum(np.einsum("i,wij,j->w", weights, windows, weights), 0.0)
-            found.append(np.log1p(square / scale).sum())
-        return np.array(found)
+            errors.append(np.log1p(square / scale).sum())
+        return np.array(errors)
 
     def jackknife(self, effects: Iterable[str], columns: Sequence[int]) -> tuple[Optimum, np.ndarray]:
         """The optimum with `effects`, and the covariance (k, k) of its steps of the parameters numbered `columns` by

@@ -60,14 +60,14 @@ def estimates_of_state(search: WindowSearch, state: Found) -> dict[str, Estimate
     optimum, covariance = linear.jackknife(state.effects, free)
     sds = larger_sd(optimum, covariance, free)
     domains = search.prior.domains(search.problem, [model.names[k] for k in free])
-    found = {}
+    estimates = {}
     for k, (name, domain), step in zip(free, domains.items(), map(float, sds), strict=True):
         value = linear.point.values[name]
         shaped = domain.multiplicative or domain.typical is not None
         held = k not in optimum.free
         sd = None if held else step * (abs(value) if domain.multiplicative else 1.0)
-        found[name] = Estimate(value, sd, domain.unit, not held and not (shaped and step > UNDETERMINED_SD), held)
-    return found
+        estimates[name] = Estimate(value, sd, domain.unit, not held and not (shaped and step > UNDETERMINED_SD), held)
+    return estimates
 
 
 def _ranking(search: WindowSearch, state: Found, misfit: float) -> tuple[CandidateScore, ...]:
