@@ -40,16 +40,18 @@ def saved_models(path: Path | str) -> dict[str, SavedFit]:
     Steps of files that do not hold their models are left out. **Raises:** `InputError` as `saved_fit`.
     """
     result = result_of(path)
-    found = {}
+    models = {}
     try:
         if "base" in result:
-            found["base"] = _saved({key: part for key, part in result.items() if key != "final"}, path)
+            models["base"] = _saved({key: part for key, part in result.items() if key != "final"}, path)
         for step in result.get("steps", ()):
             if "fitted" in step:
-                found[str(step.get("added") or step.get("dropped"))] = _saved({**result, "final": step["fitted"]}, path)
+                models[str(step.get("added") or step.get("dropped"))] = _saved(
+                    {**result, "final": step["fitted"]}, path
+                )
     except (TypeError, AttributeError):
         raise InputError("The file does not hold a fit", str(path), _REMEDY) from None
-    return {**found, "final": _saved(result, path)}
+    return {**models, "final": _saved(result, path)}
 
 
 _REMEDY = "name a file that `snakejax fit CASE --json FILE` wrote"

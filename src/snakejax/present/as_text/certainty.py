@@ -124,9 +124,9 @@ def horizon_sentences(explanation: Explanation) -> Iterator[str]:
     wanted = pose_error_text(needed.position, needed.heading)
     for reached in horizon_errors(final.fitted, role, [needed.horizon]):
         enough = reached.position_m <= needed.position and reached.heading_rad <= needed.heading
-        there = pose_error_text(reached.position_m, reached.heading_rad)
+        error = pose_error_text(reached.position_m, reached.heading_rad)
         words = "Good enough" if enough else "Not good enough"
-        yield f"{words} for {wanted} in {needed.horizon:g} s: the error is {there}."
+        yield f"{words} for {wanted} in {needed.horizon:g} s: the error is {error}."
         return
     yield f"No run is long enough to say whether it is good enough for {wanted} in {needed.horizon:g} s."
 

@@ -48,8 +48,8 @@ def _causes(explanation: Explanation) -> Iterator[str]:
         known = tuple(effect for effect in explanation.effects if effect not in explanation.named_laws)
         if known:
             yield f"Still significant beside the missing force: {listed(known)}."
-    told = tuple(dict.fromkeys((*explanation.partial, *explanation.named_laws)))
-    for effect in told if explanation.verdict == "unexplained" else explanation.effects:
+    causes = tuple(dict.fromkeys((*explanation.partial, *explanation.named_laws)))
+    for effect in causes if explanation.verdict == "unexplained" else explanation.effects:
         helped = "Lowers the error: " if explanation.verdict == "unexplained" else ""
         values = values_text(final.estimates_of(effect))
         yield f"{helped}{effect}: {final.description_of(effect)} {values}".rstrip() + doubt
@@ -89,9 +89,9 @@ def _certainty(explanation: Explanation) -> Iterator[str]:
     yield from law_sentences(explanation)
     several = len(explanation.confidence) > 1
     for effect in explanation.confidence:
-        told = " ".join(confidence_sentences(explanation, effect))
-        if told:
-            yield f"{effect}: {told}" if several else told
+        sentences = " ".join(confidence_sentences(explanation, effect))
+        if sentences:
+            yield f"{effect}: {sentences}" if several else sentences
 
 
 def values_text(estimates: Mapping[str, Estimate]) -> str:

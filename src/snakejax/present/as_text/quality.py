@@ -21,11 +21,11 @@ def quality_report(inspection: Inspection) -> RenderableType:
     if not inspection.findings:
         return Text(f"recordings: {lost}; no defects", style="dim")
     table = plain_table("run", "from [s]", "to [s]", "defect", "action, or remedy", right=("from [s]", "to [s]"))
-    told = in_brief(inspection.findings)
-    for f in told[:MOST_FINDINGS]:
+    findings = in_brief(inspection.findings)
+    for f in findings[:MOST_FINDINGS]:
         when = ("", "") if f.run is None else (f"{f.start:.2f}", f"{f.end:.2f}")
         add_row(table, f.run or "all", *when, f.what, f.done)
-    more = len(told) - MOST_FINDINGS
+    more = len(findings) - MOST_FINDINGS
     end = f"{more} more findings are in the JSON; " if more > 0 else ""
     how = "as recorded" if inspection.as_recorded else f"{sum(inspection.masked.values())} frames masked"
     return Group(Text(f"recordings: {lost}"), Text(), indented(table), Text(f"{end}{how}"), Text())

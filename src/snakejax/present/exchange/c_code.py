@@ -113,9 +113,9 @@ def c_function(model: Model, gait: Gait | None = None, name: str = "snakejax_rat
 
 
 def _scalar(text: str) -> np.ndarray:
-    found = np.empty((), object)
-    found[()] = text
-    return found
+    scalar = np.empty((), object)
+    scalar[()] = text
+    return scalar
 
 
 def _number(value: Any) -> str:

@@ -25,7 +25,7 @@ def inference_data(fit: Fit, samples: int = 200, seed: int = 0, progress: Progre
         raise InputError("InferenceData needs ArviZ, which is not installed", "inference_data()", remedy) from None
     drawn = [parameters(model) for model in posterior_samples(fit, samples, seed, progress)]
     chains = {name: np.array([[float(model[name].value) for model in drawn]]) for name in fit.estimates}
-    found = arviz.from_dict(posterior=chains, attrs={"model": fit.fitted.name, "seed": seed})
+    data = arviz.from_dict(posterior=chains, attrs={"model": fit.fitted.name, "seed": seed})
     for name, estimate in fit.estimates.items():
-        found.posterior[name].attrs["units"] = estimate.unit
-    return found
+        data.posterior[name].attrs["units"] = estimate.unit
+    return data

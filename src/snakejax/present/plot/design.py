@@ -67,9 +67,9 @@ def _path_and_joints(figure: Figure, grid: Any, result: Mapping[str, Any]) -> No
     for side, colour, label in SIDES:
         if (journey := result[side]) is None:
             continue
-        line, said = journey["path"], journey["objective"]
+        line, objective = journey["path"], journey["objective"]
         x, y, heading = (np.asarray(line[name]) for name in ("x", "y", "heading"))
-        path.plot(x, y, color=colour, label=label if said is None else f"{label}: {_said(said)}")
+        path.plot(x, y, color=colour, label=label if objective is None else f"{label}: {_objective_text(objective)}")
         marked = slice(None, None, max(len(x) // 12, 1))
         arrows = {"color": colour, "angles": "xy", "width": 0.005, "scale": 18}
         path.quiver(x[marked], y[marked], np.cos(heading[marked]), np.sin(heading[marked]), **arrows)
@@ -99,7 +99,7 @@ def _label(result: Mapping[str, Any]) -> str:
     return POSE_ERRORS[next(iter(achieved))] if isinstance(achieved, Mapping) else str(result["asked"])
 
 
-def _said(objective: Any) -> str:
+def _objective_text(objective: Any) -> str:
     if isinstance(objective, Mapping):
         return f"off by {missed_text(objective)}"
     return f"{objective:.3g}"

@@ -39,31 +39,31 @@ from .residuals import prediction_bands, residuals
 from .sweep import sweep_page
 
 
-def fit_page(case: Case, noise: Noise, found: Fit, result: Json, model: ModelView) -> str:
+def fit_page(case: Case, noise: Noise, fit: Fit, result: Json, model: ModelView) -> str:
     """The report of a fit, or of a comparison where `result` has one; `model` is that of `view_of_fit`."""
     models = (model,)
-    train, held = found.train_score, found.heldout_score
+    train, held = fit.train_score, fit.heldout_score
     unseen = "" if held is None else f", on held-out runs {error_text(held)}"
-    told = f"{case.name}: the root mean square error of the model is {error_text(train)}{unseen}."
+    headline = f"{case.name}: the root mean square error of the model is {error_text(train)}{unseen}."
     parts = (
         sections.paths(models),
         residuals(models),
-        parameters(result, [found.fitted], found.advice),
+        parameters(result, [fit.fitted], fit.advice),
         sections.falling(result),
         sections.moving(),
         sections.failing(models, result.get("comparison")),
         sections.tyre(models),
     )
-    warned = () if found.converged else (not_converged_line("the model"),)
-    return render(_page(case, noise, told, warned, models, parts, result, found.model.board))
+    warned = () if fit.converged else (not_converged_line("the model"),)
+    return render(_page(case, noise, headline, warned, models, parts, result, fit.model.board))
 
 
 def diagnosis_page(case: Case, noise: Noise, base: SelectionStep, result: Json) -> str:
     """The report of a diagnosis."""
     models = (view_of_step(base),)
     sure = [one["effect"] for one in result["ranking"] if one["p_value"] is not None and one["p_value"] < 0.01]
-    told = base_headline(case.name, base)
-    told += f" Best candidate: {result['ranking'][0]['effect']}." if sure else " No candidate is significant."
+    headline = base_headline(case.name, base)
+    headline += f" Best candidate: {result['ranking'][0]['effect']}." if sure else " No candidate is significant."
     parts = (
         candidates(result, base.description_of, [base.predicted_of_runs]),
         sections.paths(models),
@@ -74,36 +74,47 @@ def diagnosis_page(case: Case, noise: Noise, base: SelectionStep, result: Json) 
         sections.failing(models),
         sections.tyre(models),
     )
-    return render(_page(case, noise, told, warnings([base]), models, parts, result, base.model.board))
+    return render(_page(case, noise, headline, warnings([base]), models, parts, result, base.model.board))
 
 
-def explanation_page(found: Explanation, result: Json, models: Sequence[ModelView]) -> str:
+def explanation_page(explanation: Explanation, result: Json, models: Sequence[ModelView]) -> str:
     """The report of an explanation, from the base model to the verdict; `models` are those of `views_of_steps`."""
     parts: list[Section] = [sections.paths(models), residuals(models)]
-    if found.missing is not None and result["unexplained"] is not None:
-        charts = _force_charts(found.missing, models[0])
-        parts.append(sections.missing(result, components_text(found.missing), charts))
-    elif found.law is not None:
-        parts.append(sections.law(found, components_text(found.law), _force_charts(found.law, models[0])))
-    if found.confidence or found.candidates:
-        said = [f"{effect}: {' '.join(confidence_sentences(found, effect))}" for effect in found.confidence]
+    if explanation.missing is not None and result["unexplained"] is not None:
+        charts = _force_charts(explanation.missing, models[0])
+        parts.append(sections.missing(result, components_text(explanation.missing), charts))
+    elif explanation.law is not None:
+        parts.append(
+            sections.law(explanation, components_text(explanation.law), _force_charts(explanation.law, models[0]))
+        )
+    if explanation.confidence or explanation.candidates:
+        lines = [
+            f"{effect}: {' '.join(confidence_sentences(explanation, effect))}" for effect in explanation.confidence
+        ]
         beside = (floor_sentences, horizon_sentences, band_sentences, odd_run_sentences)
-        said += [line for sentences in beside for line in sentences(found)]
-        parts.append(certainty(result, said))
-    if found.bands:
-        parts.append(prediction_bands(found.bands, models[-1].look, found.floor is None))
+        lines += [line for sentences in beside for line in sentences(explanation)]
+        parts.append(certainty(result, lines))
+    if explanation.bands:
+        parts.append(prediction_bands(explanation.bands, models[-1].look, explanation.floor is None))
     parts += [
-        parameters(result, [found.base.fitted, found.final.fitted]),
-        candidates(result, found.base.description_of, [step.predicted_of_runs for step in found.steps]),
+        parameters(result, [explanation.base.fitted, explanation.final.fitted]),
+        candidates(result, explanation.base.description_of, [step.predicted_of_runs for step in explanation.steps]),
         sections.falling(result),
         sections.moving(),
         sections.failing(models),
         sections.tyre(models),
     ]
     page = _page(
-        found.case, found.noise, title(found), warnings(found.steps), models, parts, result, found.base.model.board
+        explanation.case,
+        explanation.noise,
+        title(explanation),
+        warnings(explanation.steps),
+        models,
+        parts,
+        result,
+        explanation.base.model.board,
     )
-    return render(page._replace(lead=tuple(first_lines(found))))
+    return render(page._replace(lead=tuple(first_lines(explanation))))
 
 
 def _force_charts(force: LatentForce, base: ModelView) -> list[figures.Chart]:
@@ -117,7 +128,7 @@ def _force_charts(force: LatentForce, base: ModelView) -> list[figures.Chart]:
 def _page(
     case,
     noise,
-    told: str,
+    headline: str,
     warned: tuple[str, ...],
     models: Sequence[ModelView],
     parts: Sequence[Section],
@@ -132,7 +143,7 @@ def _page(
     parts = [*parts, *([recordings] if recordings is not None else [])]
     facts = (case.title, f"{noise_line(noise)[0].upper()}{noise_line(noise)[1:]}.")
     shots = movie(models, board)
-    return Page(f"{case.name} - snakejax", told, facts, runs, switches, tuple(parts), result, shots, warned)
+    return Page(f"{case.name} - snakejax", headline, facts, runs, switches, tuple(parts), result, shots, warned)
 
 
 __all__ = ["diagnosis_page", "explanation_page", "fit_page", "sweep_page", "tune_page"]

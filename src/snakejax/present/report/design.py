@@ -41,14 +41,14 @@ def _achieved(result: Json) -> str:
     unit = {"distance": " m", "turn": " rad"}.get(result["asked"], "")
     before = result["before"]
     known = before and before["objective"]
-    was = "" if known is None else f", where the best known gait has {_said(known, unit)}"
+    was = "" if known is None else f", where the best known gait has {_objective_text(known, unit)}"
     if isinstance(known, Mapping):
         was = f"; the best known gait misses it by {missed_text(known)}"
     met = "" if result.get("met", True) else " No gait reaches the target."
-    return f"{_said(result['objective'], unit)}{was}.{met}"
+    return f"{_objective_text(result['objective'], unit)}{was}.{met}"
 
 
-def _said(objective: Any, unit: str = "") -> str:
+def _objective_text(objective: Any, unit: str = "") -> str:
     if isinstance(objective, Mapping):
         return f"the pose is missed by {missed_text(objective)}"
     return f"{objective:.4g}{unit}"

@@ -49,8 +49,10 @@ def parameters(result: Json, fitted: Sequence[FittedModel], advice: Sequence[str
         caption = f"Combinations that the runs determine{doubt(result['base']['converged'])}"
         tables.append(table(caption, heads, rows))
     charts = [chart for chart in [correlation(fitted[-1])] if chart is not None]
-    told = "The chart shows how the errors of the parameters of the last model are correlated." if charts else None
-    return Section("parameters", "Parameters", plain_sentences(*advice, told), tuple(charts), tuple(tables))
+    chart_note = (
+        "The chart shows how the errors of the parameters of the last model are correlated." if charts else None
+    )
+    return Section("parameters", "Parameters", plain_sentences(*advice, chart_note), tuple(charts), tuple(tables))
 
 
 PARAMETER_COLUMNS = ("parameter", "#value", "#+-", "unit", "95% interval", "")

@@ -164,13 +164,13 @@ def tyre(models: Sequence[ModelView]) -> Section:
     return Section("tyre", "Lateral force against slip", (text,), (figures.tyre(models),))
 
 
-def law(found: Explanation, size: str, charts: Sequence[figures.Chart]) -> Section:
+def law(explanation: Explanation, size: str, charts: Sequence[figures.Chart]) -> Section:
     """The force of which a law was found, its `size` in words, and the law."""
     sentences = plain_sentences(
         "No known effect brings the error down to the noise. This is the force that the base model lacks, along (X) and"
         f" across (Y) the board and about its vertical (N), with 95% bands; its root mean square is {size}.",
-        *(f"{name}: {effect.expression}." for name, effect in found.named_laws.items()),
-        *law_sentences(found),
+        *(f"{name}: {effect.expression}." for name, effect in explanation.named_laws.items()),
+        *law_sentences(explanation),
     )
     return Section("law", "The law of the missing force", sentences, tuple(charts), (), wide=False)
 
