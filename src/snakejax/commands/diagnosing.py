@@ -61,12 +61,12 @@ def diagnose(case: Case | Path | str, **options: Unpack[ExplainOptions]) -> Diag
 
 def diagnose_case(case: Case, options: ExplainOptions) -> Diagnosis:
     """The diagnosis of an inspected `case`. **Raises:** as `fit`."""
-    asked = question(case, options)
+    question = question_of(case, options)
     if windows.supports(case):
-        return windows.diagnose_windows(case, asked.noise, asked.library, **asked.options)
-    progress = asked.options.get("progress", no_progress)
-    logged = with_estimated_logs(asked.start, case, asked.noise, progress)
-    return diagnosed(logged, asked.noise, asked.library, **asked.options)
+        return windows.diagnose_windows(case, question.noise, question.library, **question.options)
+    progress = question.options.get("progress", no_progress)
+    logged = with_estimated_logs(question.start, case, question.noise, progress)
+    return diagnosed(logged, question.noise, question.library, **question.options)
 
 
 @takes(ExplainOptions, as_recorded=False, progress=no_progress)
@@ -81,18 +81,18 @@ def explain(case: Case | Path | str, **options: Unpack[ExplainOptions]) -> Expla
 
 def explain_case(case: Case, options: ExplainOptions) -> Explanation:
     """The explanation of an inspected `case`. **Raises:** as `fit`."""
-    asked = question(case, options)
-    return explained(case, asked.noise, asked.library, **asked.options)
+    question = question_of(case, options)
+    return explained(case, question.noise, question.library, **question.options)
 
 
 def plan_case(case: Case, options: ExplainOptions) -> Plan:
     """What `explain` would try on an inspected `case`. **Raises:** `InputError` as `explain`."""
-    asked = question(case, options)
-    options_of_plan = {key: value for key, value in asked.options.items() if key in ("held", "with_", "switch")}
-    return plan_of(case, asked.library, start=asked.start, **options_of_plan)  # type: ignore[arg-type]
+    question = question_of(case, options)
+    options_of_plan = {key: value for key, value in question.options.items() if key in ("held", "with_", "switch")}
+    return plan_of(case, question.library, start=question.start, **options_of_plan)  # type: ignore[arg-type]
 
 
-def question(case: Case, options: ExplainOptions) -> Question:
+def question_of(case: Case, options: ExplainOptions) -> Question:
     """What is asked about an inspected `case`. **Raises:** `InputError` where the options contradict the question."""
     base = requested_model(case, options)
     if options.get("model") == "ideal":
@@ -110,7 +110,7 @@ def question(case: Case, options: ExplainOptions) -> Question:
         if name not in usual:
             what = f"`{name}` is not one of the parameters that the base can estimate"
             raise InputError(what, "option --free", instead_of(name, usual))
-    asked = DiagnosisOptions(
+    diagnosis_options = DiagnosisOptions(
         start=base.model,
         held=frozenset(usual) - frozenset(freed),
         with_=tuple(effects),
@@ -118,7 +118,7 @@ def question(case: Case, options: ExplainOptions) -> Question:
         threshold=threshold(options.get("robust")),
         progress=options.get("progress", no_progress),
     )
-    return Question(base.model, noise_of(case), {**library, **effects}, asked)
+    return Question(base.model, noise_of(case), {**library, **effects}, diagnosis_options)
 
 
 def _listed(without: str | Iterable[str] | None) -> list[str]:

@@ -60,6 +60,6 @@ def compare(case: Case | Path | str | Fit, **options: Unpack[FitOptions]) -> Com
     **Arguments:** `case`: a `Case`, the folder of one, or a `Fit` that is there already; `options`: see `FitOptions`.
     **Raises:** as `fit`.
     """
-    found = case if isinstance(case, Fit) else fit(case, **options)
+    fitted = case if isinstance(case, Fit) else fit(case, **options)
     options.get("progress", no_progress)(ProgressEvent(Phase.COMPARISON))
-    return compared(found)
+    return compared(fitted)

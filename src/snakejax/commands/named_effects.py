@@ -35,14 +35,14 @@ def named_effects(given: EffectArguments | None, option: str, vehicle: AbstractV
     if given is None:
         return []
     if isinstance(given, Mapping):
-        found = [_of_class(name, effect) for name, effect in given.items()]
+        effects = [_of_class(name, effect) for name, effect in given.items()]
     elif isinstance(given, str | type | Effect):
-        found = [_named(given, option, vehicle)]
+        effects = [_named(given, option, vehicle)]
     else:
-        found = [_named(one, option, vehicle) for one in given]
-    if len({one.name for one in found}) < len(found):
+        effects = [_named(one, option, vehicle) for one in given]
+    if len({one.name for one in effects}) < len(effects):
         raise InputError("An effect is given twice", option, "give each once")
-    return found
+    return effects
 
 
 def _named(given: EffectArgument, option: str, vehicle: AbstractVehicle) -> NamedEffect:
