@@ -78,5 +78,5 @@ def explain_options(options: argparse.Namespace, say: Progress) -> Any:
     """
     own = {effect_spec(text).name: text for text in options.effect or ()}
     with_ = [own.get(text, text) for text in options.with_ or ()]
-    asked = {"with_": with_, "effect": options.effect, "without": options.without, "progress": say}
-    return {**model_options(options), **asked}
+    effect_options = {"with_": with_, "effect": options.effect, "without": options.without, "progress": say}
+    return {**model_options(options), **effect_options}

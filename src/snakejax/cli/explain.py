@@ -53,10 +53,10 @@ def run(options: argparse.Namespace) -> int:
 
 
 @contextlib.contextmanager
-def kept_fits(options: argparse.Namespace, case: Any, asked: Mapping[str, Any]) -> Iterator[None]:
+def kept_fits(options: argparse.Namespace, case: Any, question: Mapping[str, Any]) -> Iterator[None]:
     """Keep the finished fits of a case in a folder in that of `--out`, and say how many are there already.
 
-    The folder is named by the case and by all that is `asked` about it.
+    The folder is named by the case and by the `question` about it.
     """
     if options.out is None:
         yield
@@ -64,8 +64,8 @@ def kept_fits(options: argparse.Namespace, case: Any, asked: Mapping[str, Any]) 
     from snakejax.estimation.fit_journal import keep_fits
     from snakejax.simulation.chunks import fingerprint
 
-    question = [f"{name} {value}" for name, value in asked.items() if name != "progress"]
-    folder = Path(options.out) / KEPT / fingerprint(case, question)[:16]
+    lines = [f"{name} {value}" for name, value in question.items() if name != "progress"]
+    folder = Path(options.out) / KEPT / fingerprint(case, lines)[:16]
     with keep_fits(folder) as journal:
         if journal.earlier and not options.quiet:
             print(f"Going on: {counted(journal.earlier, 'fit')} of an earlier run are used.", file=sys.stderr)
@@ -98,9 +98,9 @@ def work(options: argparse.Namespace, case: Any, say: Progress) -> Outcome:
     from snakejax.present.views import views_of_steps
 
     clock = Stopwatch()
-    asked = explain_options(options, say)
-    with kept_fits(options, case, asked):
-        explanation = explain_case(case, asked)
+    question = explain_options(options, say)
+    with kept_fits(options, case, question):
+        explanation = explain_case(case, question)
     provenance = provenance_json(options.seed, given(options), case.sha256)
 
     result = {**explanation_json(explanation, provenance, clock.seconds()), **joint_logs_json(explanation.case.runs)}

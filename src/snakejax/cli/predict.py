@@ -46,13 +46,15 @@ def work(options: argparse.Namespace, case: Any, times: tuple[list[float], float
 
     clock = Stopwatch()
     horizons, lead = times
-    found = predict(case, options.saved, horizons, lead, with_=options.with_, progress=say)
+    prediction = predict(case, options.saved, horizons, lead, with_=options.with_, progress=say)
     provenance = provenance_json(options.seed, given(options), case.sha256)
-    result = prediction_json(case.name, found.model, found.groups, (found.lead, found.horizons), provenance)
+    result = prediction_json(
+        case.name, prediction.model, prediction.groups, (prediction.lead, prediction.horizons), provenance
+    )
     result["seconds"] = clock.seconds()
 
     def write(folder: Path) -> None:
         say(ProgressEvent(Phase.DRAWING))
-        plot.save(plot.prediction(found.groups, case.title), folder, "predict-errors")
+        plot.save(plot.prediction(prediction.groups, case.title), folder, "predict-errors")
 
-    return Outcome(result, prediction_report(case.name, found.groups, found.lead), write)
+    return Outcome(result, prediction_report(case.name, prediction.groups, prediction.lead), write)

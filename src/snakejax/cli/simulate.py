@@ -160,9 +160,9 @@ def _of_preset(options: argparse.Namespace, subject: Any) -> Simulation:
     from snakejax.commands.requested_model import requested_model, require_given
     from snakejax.recording.run import Run
 
-    asked = model_options(options)
-    requested = requested_model(subject, asked)
-    require_given(requested, options.model is None, asked)
+    model_request = model_options(options)
+    requested = requested_model(subject, model_request)
+    require_given(requested, options.model is None, model_request)
     run_ = Run(subject.name, "preset", subject.times, jnp.full((subject.times.shape[0], 3), jnp.nan), subject.gait)
     return Simulation(requested.model, (run_,), np.array([start_pose(options.start) or (0.0, 0.0, 0.0)]))
 
@@ -176,15 +176,15 @@ def _of_case(options: argparse.Namespace, case: Any, say: Progress) -> Simulatio
     from snakejax.recording.quality import noise_of
 
     pose = start_pose(options.start)
-    asked = model_options(options)
-    requested = requested_model(case, asked)
+    model_request = model_options(options)
+    requested = requested_model(case, model_request)
     if not (options.set or options.saved):
-        require_given(requested, True, asked)
+        require_given(requested, True, model_request)
         fit, noise = fitted(options, case, say)
         if pose is not None:
             return Simulation(fit.model, case.runs, starts_of(case.runs, pose), noise, (), fit)
         return Simulation(fit.model, case.runs, fitted_starts(fit), noise, (*fit.runs, *fit.heldout), fit)
-    require_given(requested, False, asked)
+    require_given(requested, False, model_request)
     if pose is not None:
         return Simulation(requested.model, case.runs, starts_of(case.runs, pose), case.noise)
     say(ProgressEvent(Phase.START_STATES))

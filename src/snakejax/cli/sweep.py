@@ -248,8 +248,8 @@ def _prepared(options: argparse.Namespace, subject: Any, axes: "Axes", say: Prog
     if loading and not (isinstance(subject, Preset) and subject.name in LOADS):
         what = f"`{loading[0]}` can only be varied for {' and '.join(LOADS)}"
         raise InputError(what, where, "name one of those as CASE")
-    asked = model_options(options)
-    requested = requested_model(subject, asked)
+    model_request = model_options(options)
+    requested = requested_model(subject, model_request)
     model = requested.model
     if isinstance(model.tyre, Bakker) and len(loading) < len(axes.columns):
         if loading:
@@ -260,7 +260,7 @@ def _prepared(options: argparse.Namespace, subject: Any, axes: "Axes", say: Prog
     columns = {f"tyre.{n}" if n in loading else dotted(model, n, where): c for n, c in axes.columns.items()}
     if isinstance(subject, Preset) or options.set or options.saved:
         filled = requested._replace(given=requested.given | {*columns})
-        require_given(filled, isinstance(subject, Preset) and options.model is None, asked)
+        require_given(filled, isinstance(subject, Preset) and options.model is None, model_request)
     else:
         model = fitted(options, subject, say)[0].model
     if len(columns) < len(axes.columns):

@@ -66,7 +66,7 @@ def work(options: argparse.Namespace, subject: Any, request: GaitRequest, say: P
 
     clock = Stopwatch()
     payload, with_payload = carried(request.payload, subject)
-    asked: Any = {
+    tune_options: Any = {
         **model_options(options),
         **request._asdict(),
         "payload": payload,
@@ -74,7 +74,7 @@ def work(options: argparse.Namespace, subject: Any, request: GaitRequest, say: P
         "seed": options.seed,
         "progress": say,
     }
-    tuned, boards, _ = tune_subject(subject, objective_of(options.objective), asked)
+    tuned, boards, _ = tune_subject(subject, objective_of(options.objective), tune_options)
     sha256 = {} if isinstance(subject, Preset) else subject.sha256
     model = boards.models[0].with_payload(payload)
     result = {
