@@ -72,17 +72,17 @@ def test_each_form_is_proposed_once() -> None:
 @pytest.mark.parametrize(
     ("after", "subject", "penalised", "kept"),
     [
-        (0.5, "x", 1020.0, "second"),
-        (0.9, "x", 1008.0, "first"),
-        (1.5, "y", 1008.0, None),  # these runs cannot tell x from y
-        (1.5, "y", 1010.0, "first"),
+        (50.0, "x", 1020.0, "second"),
+        (90.0, "x", 1008.0, "first"),
+        (150.0, "y", 1008.0, None),  # these runs cannot tell x from y
+        (150.0, "y", 1010.0, "first"),
     ],
 )
 def test_of_laws_that_do_as_well_the_one_that_predicts_runs_left_out_best_is_kept(
     after, subject, penalised, kept, monkeypatch
 ) -> None:
-    """The best in the segments leaves 0.8 of each run left out, the second `after`, against 1 without a law."""
-    errors = {"first": 0.8, "second": after, "third": None}
+    """The best in the segments has a deviance of 80 a block left out, the second of `after`, against 100 without."""
+    deviances = {"first": 80.0, "second": after, "third": None}
     found = [
         proposal("first", "X", ("x",), 1000.0),
         proposal("second", "X", (subject,), penalised),
@@ -91,15 +91,16 @@ def test_of_laws_that_do_as_well_the_one_that_predicts_runs_left_out_best_is_kep
 
     def fitted(*given: Any) -> laws.FoundLaw | None:
         name = given[-1].law.expression
-        if errors[name] is None:
+        deviance = deviances[name]
+        if deviance is None:
             return None
-        error = errors[name] * np.array([1.0, 1.01, 0.99])
-        return laws.FoundLaw(name, None, None, None, error)  # type: ignore[arg-type]
+        blocks = deviance * np.array([1.0, 1.01, 0.99])
+        return laws.FoundLaw(name, None, None, None, blocks)  # type: ignore[arg-type]
 
     monkeypatch.setattr(laws, "_fitted", fitted)
     monkeypatch.setattr(laws, "proposed", lambda search, weak: found)
     monkeypatch.setattr(laws, "beside_weaker_force", lambda search, linear: [None])
-    plain = SimpleNamespace(error=lambda effects: np.ones(3))
+    plain = SimpleNamespace(deviance=lambda effects: np.full(3, 100.0))
     monkeypatch.setattr(laws, "left_out", lambda search, linear: plain)
     search: Any = SimpleNamespace(progress=lambda event: None, criteria=CRITERIA)
     linear: Any = SimpleNamespace(gram=np.zeros((3, 1, 1)), point=SimpleNamespace(effects=()))

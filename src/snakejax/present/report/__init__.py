@@ -61,9 +61,10 @@ def fit_page(case: Case, noise: Noise, fit: Fit, result: Json, model: ModelView)
 def diagnosis_page(case: Case, noise: Noise, base: SelectionStep, result: Json) -> str:
     """The report of a diagnosis."""
     models = (view_of_step(base),)
-    sure = [one["effect"] for one in result["ranking"] if one["p_value"] is not None and one["p_value"] < 0.01]
+    level = base.criteria.significance_level
+    significant = [one for one in result["ranking"] if one["p_value"] is not None and one["p_value"] < level]
     headline = base_headline(case.name, base)
-    headline += f" Best candidate: {result['ranking'][0]['effect']}." if sure else " No candidate is significant."
+    headline += f" Best candidate: {significant[0]['effect']}." if significant else " No candidate is significant."
     parts = (
         candidates(result, base.description_of, [base.predicted_of_runs]),
         sections.paths(models),
