@@ -22,6 +22,8 @@ from jaxtyping import Float
 
 from .segments import FORCE, LENGTH, LinearisedSegments, SegmentedRuns
 
+CORRELATED = 1e-13
+"""Added to the diagonal of correlation matrices, which may be singular to rounding."""
 FREE, HELD = 1.0, 1e-6
 """Standard deviations [m, rad, m/s, rad/s] of a start state that is free, and of the velocities of a board at rest.
 Start states are linearised at the smoothed recording, from which they differ by far less than the first."""
@@ -115,16 +117,81 @@ def segment_data(cut: SegmentedRuns, at: LinearisedSegments, z: Float[np.ndarray
     return data
 
 
+class _Information(NamedTuple):
+    """What the samples of a segment say of its start state x = (z, o), o the wandering noise before the first of them.
+
+    With h = H x + e and e ~ N(0, R), `matrix` H^T R^-1 H (d, d), `right` H^T R^-1 Y (d, P + 1), `square` Y^T R^-1 Y and
+    `logs` ln |R|. The noise at the end is o_end = `end_state` x + `end_columns` + zeta, Var(zeta) = `end_variance` (3,).
+    """
+
+    matrix: jax.Array
+    right: jax.Array
+    square: jax.Array
+    logs: jax.Array
+    end_state: jax.Array
+    end_columns: jax.Array
+    end_variance: jax.Array
+
+
+class Filtered(NamedTuple):
+    """Mean (R, K, d, P + 1) and covariance (R, K, d, d) of the start state x of a segment without its samples (`before`)
+    and with them (`after`); the matrices (R, K, d, d) that lead from the segment before `into` it, and `to_end` of it.
+    """
+
+    before: np.ndarray
+    before_covariance: np.ndarray
+    after: np.ndarray
+    after_covariance: np.ndarray
+    into: np.ndarray
+    to_end: np.ndarray
+
+
 def _noise(discrepancy: Discrepancy):
     return tuple(jnp.asarray(part, jnp.float64) for part in discrepancy)
 
 
-def _filter_run(data: SegmentData, noise, restart, keep: bool):
-    """Gram matrices (K, P + 1, P + 1) and log determinants (K,) of one run, and, with `keep`, what smoothing needs.
+def _information(noise, columns, state, present, gap) -> _Information:
+    """The information of one segment: `columns` (n, 3, P + 1), `state` (n, 3, nz), `present` (n, 3), `gap` (n,).
+
+    Given o, the wandering noise of sample j is A_j o + eta_j with A_j = exp(-T_j / tau), T_j the time since o. A scalar
+    Kalman filter of eta for each channel, which begins at zero, turns the rows of [H | Y] into innovations.
+    """
+    white, wander, wander_time, _, _ = noise
+    nz = state.shape[-1]
+    decay = jnp.exp(-gap / wander_time)
+    of_wander = jnp.exp(-jnp.cumsum(gap) / wander_time)[:, None, None] * jnp.eye(3)[None]
+    rows = jnp.concatenate([state, of_wander, columns], axis=-1)
+
+    def sample(carry, one):
+        mean, variance = carry
+        row, measured, a = one
+        mean, variance = a * mean, a**2 * variance + (1 - a**2) * wander**2
+        total = variance + white**2
+        error = row - mean
+        gain = measured * variance / total
+        innovation = (measured / jnp.sqrt(total))[:, None] * error
+        return (mean + gain[:, None] * error, variance - gain * variance), (innovation, measured * jnp.log(total))
+
+    start = (jnp.zeros(rows.shape[1:]), jnp.zeros(3))
+    (mean, variance), (innovations, logs) = jax.lax.scan(sample, start, (rows, present, decay))
+    H, Y = innovations[..., : nz + 3], innovations[..., nz + 3 :]
+    return _Information(
+        jnp.einsum("nci,ncj->ij", H, H),
+        jnp.einsum("nci,ncj->ij", H, Y),
+        jnp.einsum("nci,ncj->ij", Y, Y),
+        jnp.sum(logs),
+        of_wander[-1] @ jnp.eye(nz + 3)[nz:] - mean[:, : nz + 3],
+        mean[:, nz + 3 :],
+        variance,
+    )
+
+
+def _filter_run(data: SegmentData, noise, restart):
+    """Gram matrices (K, P + 1, P + 1) and log determinants (K,) of one run, and what smoothing needs.
 
     `restart` (K,): 1 where the state is free again.
     """
-    white, wander, wander_time, force, force_time = noise
+    _, wander, _, force, force_time = noise
     nz, count = data.state.shape[-1], data.columns.shape[-1]
     size = nz + 3
     is_force = jnp.arange(nz) >= nz - FORCE
@@ -133,34 +200,11 @@ def _filter_run(data: SegmentData, noise, restart, keep: bool):
     free = jnp.where(is_force, 0.0, FREE**2)
     resting = jnp.where(is_force, 0.0, jnp.where(jnp.arange(nz) < 3, FREE**2, HELD**2))
     innovation = jnp.diag(jnp.concatenate([(1 - decay**2) * force_variance, jnp.zeros(3)]))
-
-    def sample(carry, one):
-        mean, variance, gram, logs = carry
-        columns, state, present, gap = one
-        a = jnp.exp(-gap / wander_time)
-        scale = jnp.concatenate([jnp.ones(nz), jnp.full(3, 1.0) * a])
-        mean = mean * scale[:, None]
-        variance = variance * jnp.outer(scale, scale) + jnp.diag(
-            jnp.concatenate([jnp.zeros(nz), (1 - a**2) * wander**2])
-        )
-        before = (mean, variance)
-        for c in range(3):
-            h = jnp.concatenate([state[c], jnp.zeros(3).at[c].set(1.0)])
-            gain = variance @ h
-            s = h @ gain + white[c] ** 2
-            error = columns[c] - h @ mean
-            weight = present[c]
-            mean = mean + (weight / s) * jnp.outer(gain, error)
-            variance = variance - (weight / s) * jnp.outer(gain, gain)
-            variance = 0.5 * (variance + variance.T)
-            error = error * weight / jnp.sqrt(s)
-            gram = gram + jnp.outer(error, error)
-            logs = logs + weight * jnp.log(s)
-        return (mean, variance, gram, logs), (before, (mean, variance)) if keep else None
+    of_segments = jax.vmap(partial(_information, noise))(data.columns, data.state, data.present, data.gap)
 
     def segment(carry, part):
         mean, variance, force_before = carry
-        columns, state, present, transition, shift, gap, force_at, starts, is_first = part
+        information, transition, shift, force_at, starts, is_first = part
         force_only = decay * jnp.diag(is_force.astype(jnp.float64))
         F = jnp.eye(size).at[:nz, :nz].set(jnp.where(is_force[:, None], force_only, transition))
         # The force is a deviation from that of the linearisation, while the process of the force itself has mean zero.
@@ -170,20 +214,42 @@ def _filter_run(data: SegmentData, noise, restart, keep: bool):
         prior = jnp.where(is_first * data.rest > 0, resting, free) + force_variance
         mean = jnp.where(starts > 0, fresh, carried)
         variance = jnp.where(starts > 0, jnp.diag(jnp.concatenate([prior, wander**2])), F @ variance @ F.T + innovation)
-        start = (mean, variance, jnp.zeros((count, count)), 0.0)
-        (mean, variance, gram, logs), history = jax.lax.scan(sample, start, (columns, state, present, gap))
-        return (mean, variance, force_at), (gram, logs, history, F if keep else None)
+        # With the root U of the variance, all that the samples change is the matrix 1 + U^T (H^T R^-1 H) U >= 1.
+        scale = jax.lax.stop_gradient(jnp.diag(variance))
+        scale = jnp.sqrt(jnp.where(scale > 0, scale, 1.0))
+        correlation = variance / jnp.outer(scale, scale)
+        U = scale[:, None] * jnp.linalg.cholesky(correlation + CORRELATED * jnp.eye(size))
+        root = jnp.linalg.cholesky(jnp.eye(size) + U.T @ information.matrix @ U)
+        V = jax.scipy.linalg.solve_triangular(root, U.T, lower=True)
+        right = information.right - information.matrix @ mean
+        reduced = V @ right
+        crossed = mean.T @ (information.right + right)
+        gram = information.square - 0.5 * (crossed + crossed.T) - reduced.T @ reduced
+        logs = information.logs + 2.0 * jnp.sum(jnp.log(jnp.diag(root)))
+        after, variance_after = mean + V.T @ reduced, V.T @ V
+        to_end = jnp.concatenate([jnp.eye(size)[:nz], information.end_state])
+        end = (to_end @ after).at[nz:].add(information.end_columns)
+        end_variance = to_end @ variance_after @ to_end.T
+        end_variance = end_variance + jnp.diag(jnp.concatenate([jnp.zeros(nz), information.end_variance]))
+        filtered = Filtered(mean, variance, after, variance_after, F, to_end)
+        return (end, end_variance, force_at), (gram, logs, filtered)
 
     is_first = (jnp.arange(data.columns.shape[0]) == 0).astype(jnp.float64)
-    parts = (*data[:-1], jnp.maximum(restart, is_first), is_first)
+    parts = (of_segments, data.transition, data.shift, data.force, jnp.maximum(restart, is_first), is_first)
     start = (jnp.zeros((size, count)), jnp.eye(size), jnp.zeros(FORCE))
     return jax.lax.scan(segment, start, parts)[1]
 
 
-@partial(jax.jit, static_argnames=("keep",))
-def filter_runs(data: SegmentData, noise, restart, keep: bool = False):
+@jax.jit
+def filter_runs(data: SegmentData, noise, restart):
     """`_filter_run` of all runs side by side."""
-    return jax.vmap(lambda run: _filter_run(run, noise, restart, keep))(data)
+    return jax.vmap(lambda run: _filter_run(run, noise, restart))(data)
+
+
+@jax.jit
+def _gram_and_logs(data: SegmentData, noise, restart):
+    gram, logs, _ = filter_runs(data, noise, restart)
+    return gram, logs
 
 
 def gram_matrices(
@@ -196,7 +262,7 @@ def gram_matrices(
     """
     K = data.columns.shape[1]
     restart = np.zeros(K) if not restart_every else (np.arange(K) % restart_every == 0) * 1.0
-    gram, logs, _, _ = filter_runs(_on_device(data), _noise(discrepancy), jnp.asarray(restart))
+    gram, logs = _gram_and_logs(_on_device(data), _noise(discrepancy), jnp.asarray(restart))
     return np.asarray(gram.sum(axis=1)), np.asarray(logs.sum(axis=1))
 
 
@@ -208,7 +274,7 @@ def block_gram_matrices(
     By the chain rule their sums are those of the run. Blocks without samples are zero.
     """
     R, K, count = data.columns.shape[0], data.columns.shape[1], data.columns.shape[-1]
-    gram, logs, _, _ = filter_runs(_on_device(data), _noise(discrepancy), jnp.zeros(K))
+    gram, logs = _gram_and_logs(_on_device(data), _noise(discrepancy), jnp.zeros(K))
     missing = (0, -K % length)
     gram = np.pad(np.asarray(gram), [(0, 0), missing, (0, 0), (0, 0)])
     logs = np.pad(np.asarray(logs), [(0, 0), missing])
@@ -219,26 +285,17 @@ def block_gram_matrices(
 def smooth(data: SegmentData, discrepancy: Discrepancy, step: Float[np.ndarray, " P"]) -> np.ndarray:
     """Deviations dz (R, K, nz) of the start states given all samples, after a `step` of the parameters."""
     data = data.at_step(step)
-    K, n = data.columns.shape[1:3]
-    _, _, history, transitions = filter_runs(_on_device(data), _noise(discrepancy), jnp.zeros(K), keep=True)
-    (mean_before, variance_before), (mean_after, variance_after) = jax.tree.map(np.asarray, history)
-    transitions = np.asarray(transitions)
-    R, size = mean_after.shape[0], mean_after.shape[3]
-    nz = size - 3
+    R, K, nz = len(data.rest), data.columns.shape[1], data.state.shape[-1]
+    history = filter_runs(_on_device(data), _noise(discrepancy), jnp.zeros(K))[2]
+    of = Filtered(*(np.asarray(part) for part in history))
     smoothed = np.zeros((R, K, nz))
-    mean = mean_after[:, -1, -1, :, 0]
-    for k in reversed(range(K)):
-        for j in reversed(range(n)):
-            if (k, j) != (K - 1, n - 1):
-                next_ = (k, j + 1) if j + 1 < n else (k + 1, 0)
-                scale = np.ones((R, size))
-                scale[:, nz:] = np.exp(-data.gap[:, *next_] / discrepancy.wander_time)[:, None]
-                F = scale[:, :, None] * (np.eye(size) if next_[1] else transitions[:, next_[0]])
-                gain = _gain(variance_before[:, *next_], F @ variance_after[:, k, j])
-                off = mean - mean_before[:, *next_, :, 0]
-                mean = mean_after[:, k, j, :, 0] + np.einsum("rji,rj->ri", gain, off)
-            if j == 0:
-                smoothed[:, k] = mean[:, :nz]
+    mean = of.after[:, -1, :, 0]
+    smoothed[:, -1] = mean[:, :nz]
+    for k in reversed(range(K - 1)):
+        cross = of.into[:, k + 1] @ of.to_end[:, k] @ of.after_covariance[:, k]
+        off = mean - of.before[:, k + 1, :, 0]
+        mean = of.after[:, k, :, 0] + np.einsum("rji,rj->ri", _gain(of.before_covariance[:, k + 1], cross), off)
+        smoothed[:, k] = mean[:, :nz]
     return smoothed
 
 

@@ -123,7 +123,7 @@ def _restricted(logarithms, data: SegmentData, precision, mean):
     e = jnp.exp(logarithms)
     position, both = jnp.array([0, 0, 1]), jnp.array([2, 2, 3])
     noise = (e[position], e[both], e[4], e[5:8], e[8])
-    gram, logs, _, _ = filter_runs(data, noise, jnp.zeros(data.columns.shape[1]))
+    gram, logs, _ = filter_runs(data, noise, jnp.zeros(data.columns.shape[1]))
     gram, logs = gram.sum(axis=(0, 1)), logs.sum()
     normal = gram[1:, 1:] + jnp.diag(precision)
     right = gram[1:, 0] + precision * mean
