@@ -193,8 +193,7 @@ def _when_no_model_is_exact(
         return None
     if assessment.inside("train") < criteria.least_inside:
         return None
-    base = None if diagnosis.switched else diagnosis.base.step.solution
-    steps = (diagnosis.base.record, *steps_of(assessment, base))
+    steps = (diagnosis.base.record, *steps_of(assessment))
     return explanation_of(case, noise, assessment, criteria, steps) if _lower_error(steps) else None
 
 

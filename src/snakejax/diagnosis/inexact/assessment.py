@@ -22,11 +22,6 @@ from .prediction import PredictiveCheck, bands, left_out_bands, predictive_check
 from .search import ARRIVED, Linear, Search, distance
 from .subsets import Subsets
 
-FAR = 30.0
-"""Beyond this many standard deviations a linear problem is too far from where it was linearised."""
-REFITS = 3
-"""Rounds of such a fit."""
-
 
 class Assessment(NamedTuple):
     """What a search has found.
@@ -62,14 +57,12 @@ class Assessment(NamedTuple):
         return float(np.max(self.linear.point.discrepancy.force / self.search.scales.force))
 
     def fit_with(self, effects: tuple[str, ...]) -> tuple[np.ndarray, bool]:
-        """The values (P,) with some of the effects, by the linear problem, or fitted anew where that is too far; and
-        whether that fit has converged."""
-        linear, whole = self.linear, effects == self.effects
-        if distance(linear.subsets.with_effects(effects)) > FAR:
-            linear = self.search.refit(linear.point, effects, rounds=REFITS, most=0)
+        """The values (P,) with some of the effects, fitted beside a random force of their own; and whether that fit has
+        converged."""
+        whole = effects == self.effects
+        linear = self.linear if whole else self.search.refit(self.linear.point, effects)
         best = linear.subsets.with_effects(effects)
-        values = self.search.segments.moved(linear.point.values, best.step)
-        return values, distance(best) < (ARRIVED if whole else FAR)
+        return self.search.segments.moved(linear.point.values, best.step), distance(best) < ARRIVED
 
     def estimates(self, effects: tuple[str, ...], values: np.ndarray) -> dict[str, Estimate]:
         """The estimates of the parameters free in a model with `effects`, by name, at their `values`."""

@@ -8,7 +8,7 @@ from snakejax.core.parameter import with_parameters
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.dynamics.ports import Delay, Sensor
 from snakejax.estimation.fitted_model import fitted_model
-from snakejax.estimation.problem import Problem, Solution
+from snakejax.estimation.problem import Problem
 
 from ..selection.candidates import CandidateSet
 from ..selection.steps import CandidateScore, SelectionStep
@@ -16,32 +16,26 @@ from ..selection.working_step import judged_runs
 from .assessment import Assessment, estimates_at
 from .subsets import gains
 
-CRAWL, MOST = 1e-2, 30
+CRAWL, MOST = 5e-2, 10
 """The fit of a step that lacks effects stops where a step of it lowers chi^2 by less than this share, and after so many
 steps: its error is shown, nothing is decided by it."""
 
 
-def steps_of(found: Assessment, base: Solution | None) -> list[SelectionStep]:
-    """The steps after the `base`: the change of structure where there was one, then the effects, the strongest first.
+def steps_of(found: Assessment) -> list[SelectionStep]:
+    """The steps after the base: the change of structure where there was one, then the effects, the strongest first.
 
-    The last step has the values of the assessment. Before it effects are lacking, and the linear problem may be far
-    from its optimum: there whole runs are fitted. `base`: the fit of the base, None where it has another structure.
+    The last step has the values of the assessment. Before it effects are lacking, and beside a random force that stands
+    for them a fit need not lower the error of whole runs: there these are fitted.
     """
     names: list[tuple[str, tuple[str, ...]]] = []
     candidate_set = found.candidate_set
     if candidate_set.switched:
         names.append((LATERAL_SLIP_SWITCH, ()))
     names += [(effect, found.effects[: k + 1]) for k, effect in enumerate(found.effects)]
-    steps: list[SelectionStep] = []
-    for name, effects in names:
-        step, base = _step(found, name, effects, base)
-        steps.append(step)
-    return steps
+    return [_step(found, name, effects) for name, effects in names]
 
 
-def _step(
-    found: Assessment, name: str, effects: tuple[str, ...], before: Solution | None
-) -> tuple[SelectionStep, Solution]:
+def _step(found: Assessment, name: str, effects: tuple[str, ...]) -> SelectionStep:
     base, candidate_set = found.base, found.candidate_set
     values, converged = found.fit_with(effects)
     known = dict(zip(found.search.model.names, values, strict=True))
@@ -52,8 +46,7 @@ def _step(
     if effects == found.effects or len(free) > problem.width:
         solution = problem.fit(settings, (), candidate_set.train)
     else:
-        start = _nearest_start(candidate_set, problem, free, settings, before)
-        solution = problem.fit(start, free, candidate_set.train, crawl=CRAWL, most=MOST)
+        solution = problem.fit(settings, free, candidate_set.train, crawl=CRAWL, most=MOST)
         values, converged = np.array([solution.values.get(n, v) for n, v in known.items()]), solution.converged
     judged = judged_runs(problem, solution, solution.values, candidate_set.train)
     model = problem.fitted(solution).without(*(e for e in candidate_set.candidates if e not in (*base, *effects)))
@@ -63,7 +56,7 @@ def _step(
         loose=tuple(found.search.model.names[k] for k in best.free),
         covariance=best.covariance,
     )
-    step = SelectionStep(
+    return SelectionStep(
         change="added",
         name=name,
         effects=(*((LATERAL_SLIP_SWITCH,) if candidate_set.switched else ()), *base, *effects),
@@ -77,28 +70,6 @@ def _step(
         left_out=candidate_set.left_out,
         criteria=candidate_set.criteria,
     )
-    return step, solution
-
-
-def _nearest_start(
-    candidate_set: CandidateSet, problem: Problem, free: list[str], linear: dict[str, float], before: Solution | None
-) -> dict[str, float]:
-    """The values of least error from which the parameters `free` are fitted: those of the `linear` problem, or those of
-    the step `before` with the new effect as in `linear`, absent, or as good as absent."""
-    starts = [linear]
-    if before is not None:
-        old = set(before.free)
-        kept = {n: before.values[n] for n in free if n in old}
-        absent = {n: v for n, v in candidate_set.probes().items() if n in free}
-        starts += [linear | kept, problem.values() | kept, problem.values() | absent | kept]
-    train = candidate_set.train
-
-    def error(values: dict[str, float]) -> float:
-        residual = np.asarray(problem.evaluate(problem.at(values, free), train).residual)[train]
-        total = float((residual**2).sum())
-        return total if np.isfinite(total) else np.inf
-
-    return min(starts, key=error)
 
 
 def _problem(candidate_set: CandidateSet, known: dict[str, float]) -> Problem:

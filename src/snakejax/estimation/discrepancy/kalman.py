@@ -121,7 +121,8 @@ class _Information(NamedTuple):
     """What the samples of a segment say of its start state x = (z, o), o the wandering noise before the first of them.
 
     With h = H x + e and e ~ N(0, R), `matrix` H^T R^-1 H (d, d), `right` H^T R^-1 Y (d, P + 1), `square` Y^T R^-1 Y and
-    `logs` ln |R|. The noise at the end is o_end = `end_state` x + `end_columns` + zeta, Var(zeta) = `end_variance` (3,).
+    `logs` ln |R|. The noise at the end is o_end = `end_state` x + `end_columns` + zeta with the variance `end_variance`
+    (3,) of zeta.
     """
 
     matrix: jax.Array
@@ -134,8 +135,10 @@ class _Information(NamedTuple):
 
 
 class Filtered(NamedTuple):
-    """Mean (R, K, d, P + 1) and covariance (R, K, d, d) of the start state x of a segment without its samples (`before`)
-    and with them (`after`); the matrices (R, K, d, d) that lead from the segment before `into` it, and `to_end` of it.
+    """Mean (R, K, d, P + 1) and covariance (R, K, d, d) of the start state x of a segment.
+
+    `before`: without its own samples, `after`: with them. The matrices (R, K, d, d) `to_end` lead from x to the end of
+    the segment, `into` from the end of the segment before to x.
     """
 
     before: np.ndarray
