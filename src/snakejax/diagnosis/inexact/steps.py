@@ -16,7 +16,7 @@ from ..selection.working_step import judged_runs
 from .assessment import Assessment, estimates_at
 from .subsets import gains
 
-CRAWL, MOST = 5e-2, 10
+CRAWL, MOST = 5e-2, 6
 """The fit of a step that lacks effects stops where a step of it lowers chi^2 by less than this share, and after so many
 steps: its error is shown, nothing is decided by it."""
 
