@@ -71,15 +71,15 @@ class Assessment(NamedTuple):
 
 def estimates_at(search: Search, best: Optimum, values: np.ndarray, columns: Iterable[int]) -> dict[str, Estimate]:
     """The `values` of the parameters numbered `columns`, by name, with the errors of the optimum `best`."""
-    found = {}
+    estimates = {}
     for k in columns:
         domain, step = search.segments.domains[k], float(best.sd[k])
         shaped = domain.multiplicative or domain.typical is not None
         held = k not in best.free
         sd = None if held else step * (abs(float(values[k])) if domain.multiplicative else 1.0)
         determined = not held and not (shaped and step > UNDETERMINED_SD)
-        found[search.model.names[k]] = Estimate(float(values[k]), sd, domain.unit, determined, held)
-    return found
+        estimates[search.model.names[k]] = Estimate(float(values[k]), sd, domain.unit, determined, held)
+    return estimates
 
 
 def assess(
@@ -93,9 +93,9 @@ def assess(
     """All that is told of the point of `linear`, judged by the `heldout` runs; `base`: effects always in the model;
     `laws`: those of its effects that are laws."""
     criteria, scales = search.criteria, search.scales
-    found = world(search, linear)
+    evidence = world(search, linear)
     wide = linear.point.discrepancy
-    if found.has_force:
+    if evidence.has_force:
         wide = wide.enlarged(criteria.interval_force * scales.force, longest=criteria.shortest_force)
     predicted = left_out(search, linear)
     sure = confidence(search, linear, predicted, laws)
@@ -113,8 +113,8 @@ def assess(
         predictions += bands(heldout, unseen, best, own)
     floor = np.sqrt((open_loop(linear.data, own).rms_sd ** 2).mean(axis=0))
     odd = _odd_runs(search, linear, problem, gram)
-    told = (problem, sure, predicted, found, check, floor, predictions, odd)
-    return Assessment(search, linear, base, effects, *told, candidate_set)
+    results = (problem, sure, predicted, evidence, check, floor, predictions, odd)
+    return Assessment(search, linear, base, effects, *results, candidate_set)
 
 
 def _odd_runs(search: Search, linear: Linear, problem: Subsets, gram: np.ndarray) -> tuple[OddRun, ...]:
@@ -122,5 +122,8 @@ def _odd_runs(search: Search, linear: Linear, problem: Subsets, gram: np.ndarray
     model, values = search.model, linear.point.values
     names = {name: k for k, name in enumerate(model.names)}
     free = model.free(linear.point.effects)
-    found = odd_runs(gram, [run.name for run in search.segments.runs], names, free, problem.prior.precision)
-    return tuple(odd.in_units(search.segments.domains[k], values[k]) for odd in found for k in [names[odd.parameter]])
+    odd_of_model = odd_runs(gram, [run.name for run in search.segments.runs], names, free, problem.prior.precision)
+    numbers = [names[odd.parameter] for odd in odd_of_model]
+    return tuple(
+        odd.in_units(search.segments.domains[k], values[k]) for odd, k in zip(odd_of_model, numbers, strict=True)
+    )

@@ -41,13 +41,13 @@ def confidence(search: Search, linear: Linear, predicted: LeftOut, laws: Sequenc
     """How sure each effect of the point of `linear` is; `laws`: those that are laws."""
     effects, wide = linear.point.effects, cautious(search, linear)
     bare_falls, wide_falls = falls(linear.subsets, effects), falls(wide, effects)
-    found = {}
+    sure = {}
     for effect, fall in bare_falls.items():
         law = effect in laws
         instead = twins(search, linear.subsets if law else wide, effects, effect)
         predicts = predicted.gain(effects, effect).predicts
-        found[effect] = _confidence(linear.subsets.threshold(effect), predicts, law, fall, wide_falls[effect], instead)
-    return found
+        sure[effect] = _confidence(linear.subsets.threshold(effect), predicts, law, fall, wide_falls[effect], instead)
+    return sure
 
 
 def _confidence(

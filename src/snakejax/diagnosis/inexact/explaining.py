@@ -57,17 +57,18 @@ def assess_effects(
 
 
 def explanation_of(
-    case: Case, noise: Noise, found: Assessment, criteria: SelectionCriteria, steps: Sequence[SelectionStep]
+    case: Case, noise: Noise, assessment: Assessment, criteria: SelectionCriteria, steps: Sequence[SelectionStep]
 ) -> Explanation:
-    """The explanation with the effects `found`, which the `steps` from the base on add."""
+    """The explanation with the effects of `assessment`, which the `steps` from the base on add."""
     base, final = steps[0], steps[-1]
     claimed = tuple(effect for effect in final.effects if effect not in base.effects)
-    explained = found.check is None or (found.check.passed and found.inside("heldout") >= criteria.least_inside)
+    check = assessment.check
+    explained = check is None or (check.passed and assessment.inside("heldout") >= criteria.least_inside)
     verdict = ("explained" if claimed else "adequate") if explained else "unexplained"
     noise_floor = PoseError(
-        float(np.hypot(found.floor[0], found.floor[1])),
-        float(found.floor[2]),
-        "cameras and a random force" if found.world.has_force else "cameras",
+        float(np.hypot(assessment.floor[0], assessment.floor[1])),
+        float(assessment.floor[2]),
+        "cameras and a random force" if assessment.world.has_force else "cameras",
     )
     share, explained_share = shares_of(steps)
     return Explanation(
@@ -79,15 +80,15 @@ def explanation_of(
         () if verdict == "explained" else claimed,
         base.left_out,
         None,
-        confidence={effect: found.confidence[effect].word for effect in found.effects},
+        confidence={effect: assessment.confidence[effect].word for effect in assessment.effects},
         share=share,
         explained_share=explained_share,
         floor=noise_floor,
         remainder=_remainder(final, noise_floor),
-        candidates=_tried(found, steps),
+        candidates=_tried(assessment, steps),
         constants=_constants(final),
-        bands=found.bands,
-        odd_runs=found.odd_runs,
+        bands=assessment.bands,
+        odd_runs=assessment.odd_runs,
     )
 
 
@@ -125,40 +126,40 @@ def _constants(final: SelectionStep) -> dict[str, Estimate]:
     }
 
 
-def _tried(found: Assessment, steps: Sequence[SelectionStep]) -> tuple[TriedCandidate, ...]:
+def _tried(assessment: Assessment, steps: Sequence[SelectionStep]) -> tuple[TriedCandidate, ...]:
     """One row for each candidate beside each step."""
-    rows, linear = [], found.linear
+    rows, linear = [], assessment.linear
     shares, _ = shares_of(steps)
-    for number in range(len(found.effects) + 1):
-        here = found.effects[:number]
-        offset = len(steps) - 1 - len(found.effects)
+    for number in range(len(assessment.effects) + 1):
+        here = assessment.effects[:number]
+        offset = len(steps) - 1 - len(assessment.effects)
         for effect in linear.subsets.candidates:
             if effect not in here:
-                row = _row(found, number + offset, here, effect)
+                row = _row(assessment, number + offset, here, effect)
                 # What was taken has been simulated; the others are known by the linear problem alone.
                 rows.append(row._replace(share=shares[effect]) if row.taken else row)
     return tuple(rows)
 
 
-def _row(found: Assessment, number: int, here: tuple[str, ...], effect: str) -> TriedCandidate:
-    subsets = found.linear.subsets
+def _row(assessment: Assessment, number: int, here: tuple[str, ...], effect: str) -> TriedCandidate:
+    subsets = assessment.linear.subsets
     best = subsets.with_effects([*here, effect])
     fall = subsets.with_effects(here).chi2 - best.chi2
     threshold = subsets.threshold(effect)
-    taken = effect in found.effects and found.effects.index(effect) == len(here)
-    twins = tuple(e for e in found.effects if effect in found.confidence[e].instead)
+    taken = effect in assessment.effects and assessment.effects.index(effect) == len(here)
+    twins = tuple(e for e in assessment.effects if effect in assessment.confidence[e].instead)
     if taken:
         why = f"taken: chi^2 falls by {fall:.4g}, by chance at most {threshold:.3g}"
-    elif effect in found.effects:
+    elif effect in assessment.effects:
         why = "taken in a later step"
     elif twins:
         why = f"these runs cannot tell it from {', '.join(twins)}"
-    elif fall >= threshold and len(here) < len(found.effects):
+    elif fall >= threshold and len(here) < len(assessment.effects):
         why = "the effects that were taken explain what it explains"
     elif fall >= threshold:
         why = f"refused: runs left out are not predicted better, although chi^2 falls by {fall:.4g}"
     else:
         why = f"refused: chi^2 falls by {fall:.3g}, by chance at most {threshold:.3g}"
-    p = min(1.0, subsets.p_value(effect, fall) * len(found.search.model.candidates))
-    gain = found.predicted.gain(here, effect)
-    return TriedCandidate(number, effect, gain.share, p, best.chi2 / found.predicted.samples, taken, why, twins)
+    p = min(1.0, subsets.p_value(effect, fall) * len(assessment.search.model.candidates))
+    gain = assessment.predicted.gain(here, effect)
+    return TriedCandidate(number, effect, gain.share, p, best.chi2 / assessment.predicted.samples, taken, why, twins)

@@ -90,10 +90,10 @@ def with_law(
     fitted = []
     for one in [one for one in ordered if one.subject in subjects][:TRIED]:
         search.progress(ProgressEvent(Phase.LAW_FIT, f"fitting {one.law.expression} beside a random force"))
-        found = _fitted(case, noise, candidate_set, search, base, one)
-        if found is not None:
-            fitted.append(found)
-    best = min(fitted, key=lambda found: found.deviance.sum(), default=None)
+        with_one = _fitted(case, noise, candidate_set, search, base, one)
+        if with_one is not None:
+            fitted.append(with_one)
+    best = min(fitted, key=lambda with_one: with_one.deviance.sum(), default=None)
     if best is None:
         return None
     before = left_out(search, linear).deviance(linear.point.effects)
@@ -118,10 +118,10 @@ def _fitted(
 
 def distinct(proposals: Sequence[Proposal]) -> list[Proposal]:
     """The proposals, the best first, each form once: beside those effects with which it is best."""
-    found: dict[object, Proposal] = {}
+    of_form: dict[object, Proposal] = {}
     for one in sorted(proposals, key=lambda one: one.penalised):
-        found.setdefault(one.form, one)
-    return list(found.values())
+        of_form.setdefault(one.form, one)
+    return list(of_form.values())
 
 
 def beside_weaker_force(search: Search, linear: Linear) -> list[Linear]:
@@ -176,8 +176,8 @@ def start_of(search: Search, own: Search, weak: Linear, name: str, law: Proposed
     free = search.model.free(weak.point.effects)
     step = np.zeros(len(search.model.names))
     step[free] = law.steps
-    there = search.stepped(weak, step, weak.point.effects)
-    known = dict(zip(search.model.names, there.values, strict=True))
+    point = search.stepped(weak, step, weak.point.effects)
+    known = dict(zip(search.model.names, point.values, strict=True))
     known |= {f"effects.{name}.{part}": value for part, value in law.values.items()}
     values = np.array([known[parameter] for parameter in own.model.names])
-    return there._replace(values=values, effects=(*there.effects, name))
+    return point._replace(values=values, effects=(*point.effects, name))

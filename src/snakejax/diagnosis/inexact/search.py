@@ -175,8 +175,8 @@ class Search(NamedTuple):
             return fitted[0].point
 
         # Of a fit that is kept only the point is: the arrays of its linearisation are large, and computed at once.
-        there = kept(("refit", self.parts, point, tuple(effects), rounds, most), fit)
-        return fitted[0] if fitted else self.linearise(there, most=0)
+        end = kept(("refit", self.parts, point, tuple(effects), rounds, most), fit)
+        return fitted[0] if fitted else self.linearise(end, most=0)
 
     def _refitted(self, point: Point, effects: Sequence[str], rounds: int, most: int) -> Linear:
         values = point.values.copy()

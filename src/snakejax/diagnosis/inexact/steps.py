@@ -21,39 +21,39 @@ CRAWL, MOST = 5e-2, 6
 steps: its error is shown, nothing is decided by it."""
 
 
-def steps_of(found: Assessment) -> list[SelectionStep]:
+def steps_of(assessment: Assessment) -> list[SelectionStep]:
     """The steps after the base: the change of structure where there was one, then the effects, the strongest first.
 
     The last step has the values of the assessment. Before it effects are lacking, and beside a random force that stands
     for them a fit need not lower the error of whole runs: there these are fitted.
     """
     names: list[tuple[str, tuple[str, ...]]] = []
-    candidate_set = found.candidate_set
+    candidate_set = assessment.candidate_set
     if candidate_set.switched:
         names.append((LATERAL_SLIP_SWITCH, ()))
-    names += [(effect, found.effects[: k + 1]) for k, effect in enumerate(found.effects)]
-    return [_step(found, name, effects) for name, effects in names]
+    names += [(effect, assessment.effects[: k + 1]) for k, effect in enumerate(assessment.effects)]
+    return [_step(assessment, name, effects) for name, effects in names]
 
 
-def _step(found: Assessment, name: str, effects: tuple[str, ...]) -> SelectionStep:
-    base, candidate_set = found.base, found.candidate_set
-    values, converged = found.fit_with(effects)
-    known = dict(zip(found.search.model.names, values, strict=True))
+def _step(assessment: Assessment, name: str, effects: tuple[str, ...]) -> SelectionStep:
+    base, candidate_set = assessment.base, assessment.candidate_set
+    values, converged = assessment.fit_with(effects)
+    known = dict(zip(assessment.search.model.names, values, strict=True))
     problem = _problem(candidate_set, known)
     neutral = candidate_set.problem.values()
     free = candidate_set.free([*base, *effects])
     settings = neutral | {n: float(known[n]) for n in free}
-    if effects == found.effects or len(free) > problem.width:
+    if effects == assessment.effects or len(free) > problem.width:
         solution = problem.fit(settings, (), candidate_set.train)
     else:
         solution = problem.fit(settings, free, candidate_set.train, crawl=CRAWL, most=MOST)
         values, converged = np.array([solution.values.get(n, v) for n, v in known.items()]), solution.converged
     judged = judged_runs(problem, solution, solution.values, candidate_set.train)
     model = problem.fitted(solution).without(*(e for e in candidate_set.candidates if e not in (*base, *effects)))
-    best = found.wide.with_effects(effects)
+    best = assessment.wide.with_effects(effects)
     fitted = dataclasses.replace(
         fitted_model(model, problem, solution, judged.heldout_fit),
-        loose=tuple(found.search.model.names[k] for k in best.free),
+        loose=tuple(assessment.search.model.names[k] for k in best.free),
         covariance=best.covariance,
     )
     return SelectionStep(
@@ -64,9 +64,9 @@ def _step(found: Assessment, name: str, effects: tuple[str, ...]) -> SelectionSt
         train=judged.train,
         heldout=judged.heldout,
         runs=judged.runs,
-        estimates=found.estimates(effects, values),
+        estimates=assessment.estimates(effects, values),
         converged=converged,
-        ranking=_ranking(found, candidate_set, effects),
+        ranking=_ranking(assessment, candidate_set, effects),
         left_out=candidate_set.left_out,
         criteria=candidate_set.criteria,
     )
@@ -79,16 +79,18 @@ def _problem(candidate_set: CandidateSet, known: dict[str, float]) -> Problem:
     return dataclasses.replace(problem, model=with_parameters(problem.model, constants))
 
 
-def _ranking(found: Assessment, candidate_set: CandidateSet, effects: tuple[str, ...]) -> tuple[CandidateScore, ...]:
+def _ranking(
+    assessment: Assessment, candidate_set: CandidateSet, effects: tuple[str, ...]
+) -> tuple[CandidateScore, ...]:
     """The absent candidates by how far each lowers chi^2 beside `effects`."""
-    model, linear = found.search.model, found.linear
+    model, linear = assessment.search.model, assessment.linear
     gained = gains(linear.subsets, effects)
     known, rows = candidate_set.problem.model.effects, []
     for effect in sorted(gained, key=lambda e: -gained[e]):
         columns = model.candidates[effect]
         best = linear.subsets.with_effects([*effects, effect])
-        values = found.search.segments.moved(linear.point.values, best.step)
-        expected = estimates_at(found.search, best, values, columns)
+        values = assessment.search.segments.moved(linear.point.values, best.step)
+        expected = estimates_at(assessment.search, best, values, columns)
         p = linear.subsets.p_value(effect, gained[effect])
         rows.append(
             CandidateScore(

@@ -151,7 +151,7 @@ def left_out_deviances(
     held against an effect. The sum over the blocks of a run is the density of the run.
     """
     effects = list(effects)
-    total, found = blocks.sum(axis=(0, 1)), np.zeros(logs.shape)
+    total, deviances = blocks.sum(axis=(0, 1)), np.zeros(logs.shape)
     for r, run in enumerate(blocks):
         known = total - run.sum(axis=0)
         for b, one in enumerate(run):
@@ -161,7 +161,7 @@ def left_out_deviances(
             information, C = one[np.ix_(rows, rows)], others.covariance
             # (D^T D + C^-1)^-1 = (1 + C D^T D)^-1 C needs no inverse of C, which a bound may leave near singular.
             spread = np.eye(len(rows)) + C @ information
-            found[r, b] = np.linalg.slogdet(spread)[1] + quadratic(one, others.step)
-            found[r, b] -= gradient @ np.linalg.solve(spread, C @ gradient)
+            deviances[r, b] = np.linalg.slogdet(spread)[1] + quadratic(one, others.step)
+            deviances[r, b] -= gradient @ np.linalg.solve(spread, C @ gradient)
             known = known + one
-    return found + logs
+    return deviances + logs

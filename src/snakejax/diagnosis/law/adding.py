@@ -158,8 +158,8 @@ def best_laws(
         count = len(like.candidate_set.free(effects)) + sum(len(law.parameters) for law in laws)
         if count > like.candidate_set.problem.width:
             return None
-        told = " and ".join(law.expression for law in laws)
-        progress(ProgressEvent(Phase.LAW_FIT, f"fitting {told} to whole runs"))
+        texts = " and ".join(law.expression for law in laws)
+        progress(ProgressEvent(Phase.LAW_FIT, f"fitting {texts} to whole runs"))
         try:
             candidate_set, fit = fitted_laws(case, noise, like.candidate_set, effects, missing, laws)
         except FitError:
@@ -171,7 +171,7 @@ def best_laws(
                 laws, candidate_set, fit, run_misfits(candidate_set.problem, fit.solution, candidate_set.train)
             )
         # Far from the noise a linear model says nothing about runs left out.
-        progress(ProgressEvent(Phase.PREDICTION, f"does {told} predict runs that were left out?"))
+        progress(ProgressEvent(Phase.PREDICTION, f"does {texts} predict runs that were left out?"))
         return AddedLaws(laws, candidate_set, fit, left_out_misfits(candidate_set, fit))
 
     best = None
@@ -196,5 +196,5 @@ def _second(missing: LatentForce, first: ProposedLaw, progress: Progress) -> Pro
     if missing.windows is None or first.left_out - 1 < LEAST_EXCESS:
         return None
     progress(ProgressEvent(Phase.LAW_SEARCH, "searching for a second law"))
-    found = search(missing.windows, [(first.family, first.shape)])
-    return found[0] if found and found[0].left_out - 1 < SECOND * (first.left_out - 1) else None
+    laws = search(missing.windows, [(first.family, first.shape)])
+    return laws[0] if laws and laws[0].left_out - 1 < SECOND * (first.left_out - 1) else None

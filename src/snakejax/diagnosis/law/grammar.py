@@ -113,7 +113,7 @@ class _Function(NamedTuple):
     shape: tuple[ShapeParameter, ...] = ()
 
 
-def _functions(variable: str, seen: Range) -> Iterator[_Function]:
+def _functions(variable: str, interval: Range) -> Iterator[_Function]:
     """The functions of one variable."""
     v, unit, angle = variable, unit_of(variable), variable in ("heading", "theta")
     if angle:
@@ -122,21 +122,21 @@ def _functions(variable: str, seen: Range) -> Iterator[_Function]:
         return
     yield _Function("linear", ((v, 1),))
     yield _Function("square", ((f"{v} ** 2", 2),))
-    if seen.low < 0 < seen.high:
+    if interval.low < 0 < interval.high:
         yield _Function("signed square", ((f"{v} * abs({v})", 2),))
     yield _Function("affine", (("", 0), (v, 1)))
-    scales = tuple(seen.largest * part for part in (0.1, 0.25, 0.5, 1.0))
-    s = ShapeParameter("s", unit, scales, 0.01 * seen.largest, 20 * seen.largest)
+    scales = tuple(interval.largest * part for part in (0.1, 0.25, 0.5, 1.0))
+    s = ShapeParameter("s", unit, scales, 0.01 * interval.largest, 20 * interval.largest)
     yield _Function("saturation", ((f"tanh({v} / s)", 0),), (s,))
     yield _Function("even saturation", ((f"tanh(({v} / s) ** 2)", 0),), (s,))
-    places = tuple(seen.low + seen.width * part for part in np.linspace(0.08, 0.92, 8))
-    v0 = ShapeParameter("v0", unit, places, seen.low - seen.width, seen.high + seen.width)
-    widths = tuple(seen.width * part for part in (0.04, 0.1, 0.25))
-    width = ShapeParameter("s", unit, widths, 0.005 * seen.width, 5 * seen.width)
+    places = tuple(interval.low + interval.width * part for part in np.linspace(0.08, 0.92, 8))
+    v0 = ShapeParameter("v0", unit, places, interval.low - interval.width, interval.high + interval.width)
+    widths = tuple(interval.width * part for part in (0.04, 0.1, 0.25))
+    width = ShapeParameter("s", unit, widths, 0.005 * interval.width, 5 * interval.width)
     yield _Function("threshold", ((f"(0.5 + 0.5 * tanh(({v} - v0) / s))", 0),), (v0, width))
     yield _Function("bump", ((f"exp(-(({v} - v0) / s) ** 2)", 0),), (v0, width))
     if variable in ("x", "y", "time") or variable.endswith("_angle"):
-        numbers = tuple(np.pi / seen.width * np.arange(1.0, 31.0))
+        numbers = tuple(np.pi / interval.width * np.arange(1.0, 31.0))
         k = ShapeParameter("k", power(unit, -1), numbers, 0.3 * numbers[0], 1.2 * numbers[-1])
         yield _Function("wave", ((f"sin(k * {v})", 0), (f"cos(k * {v})", 0)), (k,))
 
@@ -153,8 +153,8 @@ def _term(action: Action, amplitude: str, formula: str, unit: Unit) -> Term:
 
 def families(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]:
     """All forms of law of the variables in `ranges`; those named in `wheel` belong to a wheel, so only its grip."""
-    for variable, seen in ranges.items():
-        for function in _functions(variable, seen):
+    for variable, interval in ranges.items():
+        for function in _functions(variable, interval):
             for action in ACTIONS:
                 if variable in wheel and action.name != "grip":
                     continue

@@ -86,7 +86,7 @@ class ForceWindows(NamedTuple):
     def ranges(self) -> dict[str, Range]:
         """What was seen of each variable that varies."""
         ends = {name: Range(*np.percentile(values, [2, 98])) for name, values in self.variables.items()}
-        return {name: seen for name, seen in ends.items() if seen.high - seen.low > 1e-6}
+        return {name: interval for name, interval in ends.items() if interval.high - interval.low > 1e-6}
 
     def histories(self, family: Family, shape: Mapping[str, np.ndarray]) -> np.ndarray:
         """The knots (G, T, W, 5K) of each term at G values of the `shape`: force knot by knot, then grip."""
@@ -94,7 +94,7 @@ class ForceWindows(NamedTuple):
         wide = {name: np.asarray(values)[:, None, None] for name, values in shape.items()}
         W, K, n = self.onto.shape
         c, s = np.cos(self.theta), np.sin(self.theta)
-        found = np.zeros((G, len(family.terms), W, 5 * K))
+        knots = np.zeros((G, len(family.terms), W, 5 * K))
         for t, term in enumerate(family.terms):
             wrench = {}
             for component, formula in term.formulas:
@@ -103,7 +103,7 @@ class ForceWindows(NamedTuple):
                     known = {name: values[side] for name, values in self.variables.items()} | wide
                     value = np.broadcast_to(evaluated(tree, known, np), (G, W, n))
                     if component == "grip":
-                        found[:, t, :, 3 * K + side :: 2] = self._knots(value)
+                        knots[:, t, :, 3 * K + side :: 2] = self._knots(value)
                     else:
                         wrench[component] = value
             east, north = wrench.get("east", 0.0), wrench.get("north", 0.0)
@@ -111,8 +111,8 @@ class ForceWindows(NamedTuple):
             for k, name in enumerate(("X", "Y", "N")):
                 total = along[k] + wrench.get(name, 0.0)
                 if isinstance(total, np.ndarray):
-                    found[:, t, :, k : 3 * K : 3] = self._knots(total)
-        return found
+                    knots[:, t, :, k : 3 * K : 3] = self._knots(total)
+        return knots
 
     def _knots(self, values: np.ndarray) -> np.ndarray:
         """The knots (G, W, K) of a history that has the `values` (G, W, n) at the samples."""
