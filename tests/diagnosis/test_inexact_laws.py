@@ -70,16 +70,17 @@ def test_each_form_is_proposed_once() -> None:
 
 
 @pytest.mark.parametrize(
-    ("after", "subject", "penalised", "kept"),
+    ("after", "subject", "penalised", "kept", "rivals"),
     [
-        (50.0, "x", 1020.0, "second"),
-        (90.0, "x", 1008.0, "first"),
-        (150.0, "y", 1008.0, None),  # these runs cannot tell x from y
-        (150.0, "y", 1010.0, "first"),
+        (50.0, "x", 1017.0, "second", ()),
+        (50.0, "x", 1019.0, "first", ()),  # too far behind in the segments
+        (90.0, "x", 1008.0, "first", ()),
+        (82.0, "y", 1008.0, "first", ("second",)),  # these runs cannot tell x from y
+        (150.0, "y", 1008.0, "first", ()),
     ],
 )
 def test_of_laws_that_do_as_well_the_one_that_predicts_runs_left_out_best_is_kept(
-    after, subject, penalised, kept, monkeypatch
+    after, subject, penalised, kept, rivals, monkeypatch
 ) -> None:
     """The best in the segments has a deviance of 80 a block left out, the second of `after`, against 100 without."""
     deviances = {"first": 80.0, "second": after, "third": None}
@@ -107,7 +108,7 @@ def test_of_laws_that_do_as_well_the_one_that_predicts_runs_left_out_best_is_kep
     one_run: Any = SimpleNamespace(gram=np.zeros((1, 1, 1)))
     none: Any = None
     got = laws.with_law(none, none, none, search, linear, ())
-    assert (got and got.name) == kept
+    assert got is not None and got.name == kept and got.rivals == rivals
     assert laws.with_law(none, none, none, search, one_run, ()) is None
 
 

@@ -1,6 +1,6 @@
 """Everything that is told of the effects which a search has found, as plain numbers."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -88,10 +88,10 @@ def assess(
     linear: Linear,
     base: tuple[str, ...],
     heldout: Sequence[Run],
-    laws: Sequence[str],
+    laws: Mapping[str, tuple[str, ...]],
 ) -> Assessment:
     """All that is told of the point of `linear`, judged by the `heldout` runs; `base`: effects always in the model;
-    `laws`: those of its effects that are laws."""
+    `laws`: those of its effects that are laws, with other laws that do as well."""
     criteria, scales = search.criteria, search.scales
     evidence = world(search, linear)
     wide = linear.point.discrepancy

@@ -1,6 +1,6 @@
 """How sure an effect is: sure, likely, one of several, or in place of something else."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -37,14 +37,16 @@ def cautious(search: Search, linear: Linear) -> Subsets:
     return linear.under(wide)
 
 
-def confidence(search: Search, linear: Linear, predicted: LeftOut, laws: Sequence[str]) -> dict[str, Confidence]:
-    """How sure each effect of the point of `linear` is; `laws`: those that are laws."""
+def confidence(
+    search: Search, linear: Linear, predicted: LeftOut, laws: Mapping[str, tuple[str, ...]]
+) -> dict[str, Confidence]:
+    """How sure each effect of the point of `linear` is; `laws`: those that are laws, with others that do as well."""
     effects, wide = linear.point.effects, cautious(search, linear)
     bare_falls, wide_falls = falls(linear.subsets, effects), falls(wide, effects)
     sure = {}
     for effect, fall in bare_falls.items():
         law = effect in laws
-        instead = twins(search, linear.subsets if law else wide, effects, effect)
+        instead = (*twins(search, linear.subsets if law else wide, effects, effect), *laws.get(effect, ()))
         predicts = predicted.gain(effects, effect).predicts
         sure[effect] = _confidence(linear.subsets.threshold(effect), predicts, law, fall, wide_falls[effect], instead)
     return sure

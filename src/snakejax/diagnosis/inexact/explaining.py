@@ -48,11 +48,11 @@ def assess_effects(
     priors = candidate_model(model, candidate_set.tyre, candidate_set.candidates, base, scales, case.constant_sd)
     search = Search(segments, priors, scales, candidate_set.criteria, progress)
     linear = with_predicting_effects(search, search_effects(search))
-    laws: tuple[str, ...] = ()
+    laws: dict[str, tuple[str, ...]] = {}
     law = with_law(case, noise, candidate_set, search, linear, base) if world(search, linear).has_force else None
     if law is not None:
         candidate_set, search, linear = law.candidate_set, law.search, law.linear
-        laws = (law.name,)
+        laws = {law.name: law.rivals}
     return assess(candidate_set, search, linear, tuple(base), case.having("heldout"), laws)
 
 

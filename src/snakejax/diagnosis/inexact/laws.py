@@ -59,14 +59,18 @@ class Proposal(NamedTuple):
 
 
 class FoundLaw(NamedTuple):
-    """The law `name` in the model at `linear`, whose candidates `candidate_set` and `search` hold; `deviance` (N,): -2
-    log density of train runs left out, block by block, under the noise and the random force beside the law."""
+    """The law `name` in the model at `linear`, whose candidates `candidate_set` and `search` hold.
+
+    `deviance` (N,): -2 log density of train runs left out, block by block, under the noise and the random force beside
+    the law; `rivals`: other laws, of another action or of other variables, that do as well: other motions would tell.
+    """
 
     name: str
     candidate_set: CandidateSet
     search: Search
     linear: Linear
     deviance: np.ndarray
+    rivals: tuple[str, ...] = ()
 
 
 def with_law(
@@ -75,29 +79,38 @@ def with_law(
     """The model with the law that predicts train runs left out best, or None.
 
     None where no law predicts them better than `linear` does, each under its own random force, by more than the
-    standard error; where a law of something else does as well in the segments, so that other motions would tell which
-    it is; or where there is but one run.
+    standard error; or where there is but one run.
     """
     if len(linear.gram) < 2:
         return None
     search.progress(ProgressEvent(Phase.LAW_SEARCH))
     proposals = [one for weak in beside_weaker_force(search, linear) for one in proposed(search, weak)]
     ordered = distinct(proposals)
-    near = [one for one in ordered if one.penalised - ordered[0].penalised < search.criteria.distinct_chi2]
-    subjects = {one.subject for one in near}
-    if len(subjects) != 1:
-        return None
-    fitted = []
-    for one in [one for one in ordered if one.subject in subjects][:TRIED]:
+    fitted: list[tuple[Proposal, FoundLaw]] = []
+    for one in near(ordered, search.criteria.distinct_chi2):
         search.progress(ProgressEvent(Phase.LAW_FIT, f"fitting {one.law.expression} beside a random force"))
         with_one = _fitted(case, noise, candidate_set, search, base, one)
         if with_one is not None:
-            fitted.append(with_one)
-    best = min(fitted, key=lambda with_one: with_one.deviance.sum(), default=None)
-    if best is None:
+            fitted.append((one, with_one))
+    if not fitted:
         return None
+    proposal, best = min(fitted, key=lambda pair: pair[1].deviance.sum())
     before = left_out(search, linear).deviance(linear.point.effects)
-    return best if Gain(before - best.deviance, 0.0).predicts else None
+    if not Gain(before - best.deviance, 0.0).predicts:
+        return None
+    most = best.deviance.sum() + search.criteria.distinct_chi2
+    rivals = [
+        one.law.expression
+        for one, with_one in fitted
+        if one.subject != proposal.subject and with_one.deviance.sum() < most
+    ]
+    return best._replace(rivals=tuple(rivals))
+
+
+def near(ordered: Sequence[Proposal], distinct_chi2: float) -> list[Proposal]:
+    """The first few proposals, whose chi^2 on runs left out is less than twice `distinct_chi2` above the best: in the
+    segments the parameters beside a law are held, and the random force is weaker than it is."""
+    return [one for one in ordered if one.penalised - ordered[0].penalised < 2 * distinct_chi2][:TRIED]
 
 
 def _fitted(

@@ -5,7 +5,7 @@ A law is a sum of terms, each an amplitude times a product of variables and one 
     action                         function of a variable v
     X, Y, N, a force in the world  v, v^2, v |v|, 1 and v, tanh(v / s), tanh((v / s)^2), a threshold, a bump,
     drag, force across the         sin and cos of k v, a product of two variables,
-    velocity, yaw drag, grip       a spring to a point, a plane, a bump or a threshold in the plane
+    velocity, yaw drag, grip       in the plane a spring to a point, a plane, a bump, a threshold, the slope of a hill
 """
 
 from collections.abc import Iterator, Sequence
@@ -213,6 +213,8 @@ def _in_the_plane(ranges: dict[str, Range]) -> Iterator[Family]:
     d = ShapeParameter("d", metre, tuple(size * np.linspace(-0.4, 0.4, 5)), -3 * size, 3 * size)
     bump = "exp(-((x - x0) ** 2 + (y - y0) ** 2) / s ** 2)"
     edge = "(0.5 + 0.5 * tanh((x * cos(q) + y * sin(q) - d) / s))"
+    slope = (("east", f"(x - x0) * {bump}"), ("north", f"(y - y0) * {bump}"))
+    yield Family("hill", "world", ("x", "y"), (Term("a", {"N": 1, "m": -1}, slope),), (*middles, s))
     for action in ACTIONS:
         yield Family(
             "plane", action.name, ("x", "y"), tuple(_term(action, a, v, metre) for a, v in (("a", "x"), ("b", "y")))

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy import stats
 
 from snakejax.dynamics.law import LawParameter
 
@@ -81,12 +82,10 @@ def search(windows: ForceWindows, beside: Sequence[tuple[Family, np.ndarray]] = 
     trials.sort(key=lambda trial: trial.left_out)
     refined = [_pruned(windows, _refined(windows, trial, given), given) for trial in trials[:REFINED]]
     nothing = _at(windows, NO_LAW, np.zeros((1, 0)), given)[0]
-    # A parameter costs what the best of so many forms gains by chance, in units of what is left.
-    cost = 2 * np.log(len(forms))
     laws: dict[str, ProposedLaw] = {}
     for trial in refined:
         variance = max(1.0, trial.left_out / windows.samples)
-        score = trial.left_out + cost * variance * trial.family.size
+        score = trial.left_out + variance * chance(trial.family, len(forms))
         if score < nothing.left_out:
             excess = max(nothing.left_out - windows.samples, 1e-9)
             share = float(np.clip((nothing.left_out - trial.left_out) / excess, 0.0, 1.0))
@@ -94,6 +93,16 @@ def search(windows: ForceWindows, beside: Sequence[tuple[Family, np.ndarray]] = 
             if law.expression not in laws or score < laws[law.expression].score:
                 laws[law.expression] = law
     return tuple(sorted(laws.values(), key=lambda law: law.score)[:KEPT])
+
+
+def chance(family: Family, forms: int) -> float:
+    """What the best of so many `forms` gains in chi^2 on runs left out by chance, with the terms of `family`.
+
+    chi^2 of T amplitudes exceeds its quantile at 1 - 1 / N in one of N trials. Each start of the shape is a trial, and
+    an amplitude that fits chance costs 1 on runs left out.
+    """
+    trials = forms * np.prod([len(part.starts) for part in family.shape])
+    return float(stats.chi2.isf(1.0 / trials, len(family.terms)) - len(family.terms))
 
 
 def _named(family: Family, grid: np.ndarray) -> dict[str, np.ndarray]:
