@@ -198,16 +198,13 @@ def _when_no_model_is_exact(
 
 
 def _lower_error(steps: Sequence[SelectionStep]) -> bool:
-    """Whether the effects of the last step, where it has any, lower the error of whole runs that the base leaves.
+    """Whether the effects of the last step, where it has any, lower the error of whole train runs that the base leaves.
 
     The likelihood with a random force may prefer effects that do not: they then stand in for a law that the model
     lacks, and the force takes up what they cannot do.
     """
     base, final = steps[0], steps[-1]
-    pairs = [(base.train, final.train), (base.heldout, final.heldout)]
-    return set(final.effects) <= set(base.effects) or all(
-        after.misfit < before.misfit for before, after in pairs if before is not None and after is not None
-    )
+    return set(final.effects) <= set(base.effects) or final.train.misfit < base.train.misfit
 
 
 def _steps_beyond_base(diagnosis: BaseDiagnosis, progress: Progress, show: Show) -> list[WorkingStep]:

@@ -53,7 +53,7 @@ class Law(Effect):
 
     def inapplicable_because(self, model: "Model") -> str | None:
         joints = {given.name: Joint(*(np.zeros(()),) * 3) for given in model.board.inputs}
-        known = {*VARIABLES, *model.board.variables(joints), *self.values()}
+        known = {*VARIABLES, *model.board.variables(joints), *model.board.accelerations(joints), *self.values()}
         known |= set(WHEEL_VARIABLES if isinstance(self, GripLaw) else ())
         for tree in self.formulas.values():
             for name in names_in(tree):
@@ -86,7 +86,7 @@ def variables_of(motion: Motion) -> dict[str, Scalar]:
     own = {name: getattr(motion, name) for name in VARIABLES if name != "speed"}
     # The small constant keeps the derivative of the speed finite at rest.
     own["speed"] = jnp.sqrt(motion.u**2 + motion.w**2 + 1e-12)
-    return own | motion.board.variables(motion.inputs)
+    return own | motion.board.variables(motion.inputs) | motion.board.accelerations(motion.inputs)
 
 
 def variables_of_wheel(wheel: Wheel, motion: Motion) -> dict[str, Scalar]:

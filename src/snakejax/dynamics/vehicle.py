@@ -204,6 +204,12 @@ class AbstractVehicle(Parametrised):
                 named[given.label] = joint.angle
         return named
 
+    def accelerations(self, joints: Joints) -> dict[str, Scalar]:
+        """The accelerations [rad/s^2] of prescribed joints, which push the body: `rotor_acceleration`."""
+        own = [given for given in self.inputs if given.kind == "angle" and given.follows is None]
+        prescribed = {given.label: joints.get(given.name) for given in own}
+        return {f"{label}_acceleration": joint.acceleration for label, joint in prescribed.items() if joint is not None}
+
     def outline(self) -> tuple[Stroke, ...]:
         """The picture of the vehicle without its wheels: by default a bar as long as it is."""
         half = float(self.length)

@@ -32,7 +32,7 @@ from .subsets import choose
 WEAKER = 1 / 3
 """A law is looked for beside this share of the random force: a tenth of its power, so that the law is taken for the
 rest."""
-TRIED = 5
+TRIED = 3
 """So many laws are fitted with everything else, at most."""
 WIDE = 3.0
 """Prior standard deviation of a number of a law, as a multiple of its value in the segments."""

@@ -33,6 +33,8 @@ class MotionSamples(NamedTuple):
     r: np.ndarray
     inputs: dict[str, np.ndarray]
     """What the vehicle names beside: angles and rates of its joints, see `AbstractVehicle.variables`."""
+    accelerations: dict[str, np.ndarray]
+    """Those of its joints, see `AbstractVehicle.accelerations`."""
     slip: tuple[np.ndarray, np.ndarray]
     """Lateral slip speed [m/s]."""
     angle: tuple[np.ndarray, np.ndarray]
@@ -97,4 +99,5 @@ def motion_samples(model: Model, motion: Motion) -> MotionSamples:
         sides.append([sum(parts) / len(on_side) for parts in zip(*on_side, strict=True)])
     place = (motion.time, motion.x, motion.y, motion.theta, motion.heading, motion.u, motion.w, motion.r)
     slip, angle = ((sides[0][k], sides[1][k]) for k in range(2))
-    return MotionSamples(*place, model.board.variables(motion.inputs), slip, angle)
+    of_joints = (model.board.variables(motion.inputs), model.board.accelerations(motion.inputs))
+    return MotionSamples(*place, *of_joints, slip, angle)

@@ -5,7 +5,8 @@ A law is a sum of terms, each an amplitude times a product of variables and one 
     action                         function of a variable v
     X, Y, N, a force in the world  v, v^2, v |v|, 1 and v, tanh(v / s), tanh((v / s)^2), a threshold, a bump,
     drag, force across the         sin and cos of k v, a product of two variables,
-    velocity, yaw drag, grip       in the plane a spring to a point, a plane, a bump, a threshold, the slope of a hill
+    velocity, yaw drag, grip,      in the plane a spring to a point, a plane, a bump, a threshold, the slope of a hill
+    push of a joint                (a push is a yaw moment, the acceleration of a joint times a function of that joint)
 """
 
 from collections.abc import Iterator, Sequence
@@ -39,6 +40,8 @@ ACTIONS = (
     Action("yaw_drag", (("N", "-r"),), YAW_DAMPING),
     Action("grip", (("grip", "-"),), {}),
 )
+PUSH_SUFFIX = "_acceleration"
+"""A joint pushes the body by its acceleration: this times a function of its angle or rate is an action on N."""
 EAST, NORTH = Action("east", (("east", ""),), NEWTON), Action("north", (("north", ""),), NEWTON)
 WORLD_VARIABLES = ("x", "y", "heading", "theta", "time")
 """The variables on which a force along the axes of the world may depend."""
@@ -153,6 +156,9 @@ def _term(action: Action, amplitude: str, formula: str, unit: Unit) -> Term:
 
 def families(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]:
     """All forms of law of the variables in `ranges`; those named in `wheel` belong to a wheel, so only its grip."""
+    pushes = [name for name in ranges if name.endswith(PUSH_SUFFIX)]
+    ranges = {name: interval for name, interval in ranges.items() if name not in pushes}
+    yield from _pushes(pushes, ranges)
     for variable, interval in ranges.items():
         for function in _functions(variable, interval):
             for action in ACTIONS:
@@ -175,6 +181,21 @@ def families(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]
             yield Family("product", action.name, (one, other), (_term(action, "a", f"{one} * {other}", unit),))
     if "x" in ranges and "y" in ranges:
         yield from _in_the_plane(ranges)
+
+
+def _pushes(accelerations: Sequence[str], ranges: dict[str, Range]) -> Iterator[Family]:
+    """Laws by which a joint pushes the body more or less than its inertia says."""
+    for name in accelerations:
+        unit = product(NEWTON_METRE, power(unit_of(name), -1))
+        action = Action(f"push of {name.removesuffix(PUSH_SUFFIX)}", (("N", name),), unit)
+        for variable in (name.replace(PUSH_SUFFIX, suffix) for suffix in ("_angle", "_rate")):
+            for function in _functions(variable, ranges[variable]) if variable in ranges else ():
+                if function.name not in ("affine", "linear", "threshold"):
+                    terms = [
+                        _term(action, "abc"[k], text, power(unit_of(variable), n))
+                        for k, (text, n) in enumerate(function.parts)
+                    ]
+                    yield Family(function.name, action.name, (variable,), tuple(terms), function.shape)
 
 
 def _world(function: _Function, variable: str) -> Family:

@@ -74,6 +74,7 @@ NO_LAW = Family("nothing", "", (), ())
 def search(windows: ForceWindows, beside: Sequence[tuple[Family, np.ndarray]] = ()) -> tuple[ProposedLaw, ...]:
     """The laws that predict runs left out best, the best first; none where no law predicts them better than nothing.
 
+    Of laws that do not differ by `FEWEST_CHI2` from the best, the one with the fewest parameters is first.
     `beside`: forms, with the values of their shape, that are in the regression whatever else is.
     """
     given = [windows.histories(family, _named(family, shape[None])) for family, shape in beside]
@@ -92,7 +93,14 @@ def search(windows: ForceWindows, beside: Sequence[tuple[Family, np.ndarray]] = 
             law = _proposed(trial, windows.samples, score)._replace(share=share)
             if law.expression not in laws or score < laws[law.expression].score:
                 laws[law.expression] = law
-    return tuple(sorted(laws.values(), key=lambda law: law.score)[:KEPT])
+    return tuple(_simplest_first(sorted(laws.values(), key=lambda law: law.score))[:KEPT])
+
+
+def _simplest_first(ordered: list[ProposedLaw]) -> list[ProposedLaw]:
+    """`ordered` by score, but for the one in front: that with the fewest parameters of all that do as well."""
+    as_good = [law for law in ordered if law.score - ordered[0].score < FEWEST_CHI2]
+    simplest = min(as_good, key=lambda law: len(law.parameters), default=None)
+    return ordered if simplest is None else [simplest, *(law for law in ordered if law is not simplest)]
 
 
 def chance(family: Family, forms: int) -> float:

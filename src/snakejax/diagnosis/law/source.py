@@ -62,7 +62,10 @@ def _variable(name: str) -> str:
         return _SPEED
     if name in WHEEL_VARIABLES:
         return _OF_WHEEL[name]
-    return f"motion.{name}" if name in VARIABLES else f"motion.board.variables(motion.inputs)[{name!r}]"
+    if name in VARIABLES:
+        return f"motion.{name}"
+    of_joints = "accelerations" if name.endswith("_acceleration") else "variables"
+    return f"motion.board.{of_joints}(motion.inputs)[{name!r}]"
 
 
 def _returned(law: Law) -> list[str]:

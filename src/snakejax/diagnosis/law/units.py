@@ -24,6 +24,8 @@ def unit_of(variable: str) -> Unit:
         return VARIABLE_UNITS[variable]
     if variable.endswith("_angle"):
         return {"rad": 1}
+    if variable.endswith("_acceleration"):
+        return {"rad": 1, "s": -2}
     return {"rad": 1, "s": -1} if variable.endswith("_rate") else {}
 
 

@@ -20,9 +20,9 @@ def variables_of(
     track: MotionSamples, arranged: Callable[[np.ndarray], np.ndarray]
 ) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
     """The variables (2, W, n) of a law for the wheels ahead of the middle and behind it, and the names of those of a
-    wheel; `arranged` puts the samples of one into windows (W, n)."""
+    wheel; `arranged` puts the samples of one into windows (W, n). Accelerations of joints are among them."""
     own = {name: getattr(track, name) for name in ("time", "x", "y", "heading", "theta", "u", "w", "r")}
-    own |= {"speed": np.hypot(track.u, track.w), **track.inputs}
+    own |= {"speed": np.hypot(track.u, track.w), **track.inputs, **track.accelerations}
     variables = {name: np.stack([arranged(np.asarray(values))] * 2) for name, values in own.items()}
     if np.allclose(own["theta"], own["heading"], rtol=0, atol=1e-6):
         variables.pop("theta")
