@@ -29,19 +29,20 @@ RECORDINGS = ("level-board", "tilted-floor", "spring-board")
 
 TEXT = """# The paper's claims
 
-*Made by `fit/paper.py`; nothing here is typed by hand.*
+*`fit/paper.py` writes this page and computes its numbers.*
 
 The paper is Salman, Dear, Babikian, Shammas, Choset, *A physical parameter-based skidding model for the snakeboard*,
-CDC 2016. Its printed equations are inert (see `sj.vehicles.Printed`), so the numbers are those of the closure
-that reproduces its rotate result, structure `coupled`, at rest at the start and with its controller; `free` is Newton's
-law. Table II's inertias add to 0.4358 kg m^2; the paper's assumption I = m L^2 = 0.4375 kg m^2 is used. Its recordings
-are not public, so that nobody can replay its Figs. 11 and 12 against the original data.
+CDC 2016. Under its printed equations a board at rest does not move (see `sj.vehicles.Printed`). So the numbers below
+are those of the structure `coupled`, which reproduces the rotate result of the paper. The board starts at rest and has
+the controller of the paper. The structure `free` is Newton's law. The inertias of Table II add to 0.4358 kg m^2; we use
+the assumption of the paper, I = m L^2 = 0.4375 kg m^2. The recordings of the paper are not public, so nobody can
+compare its Figs. 11 and 12 with the original data.
 
 {claims}
 
 ## k_s against D (counterpart of Fig. 8)
 
-Grey points are the nearest Rayleigh boards where they stay further than 10 % of the path away.
+Grey points: the nearest Rayleigh board is more than 10 % of the path length away.
 
 ![k_s against D for four gaits and two structures](fig8.png)
 

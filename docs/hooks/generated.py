@@ -72,8 +72,8 @@ def domain(of: Domain) -> str:
 
 
 MEASURES = {
-    "mass_kg": ("all of it, with rotor, wheelsets, battery and cable", "scales"),
-    "inertia_kgm2": ("yaw inertia of all of it", "a pendulum"),
+    "mass_kg": ("mass of the whole board, with rotor, wheelsets, battery and cable", "scales"),
+    "inertia_kgm2": ("yaw inertia of the whole board", "a pendulum"),
     "rotor_inertia_kgm2": ("inertia of the rotor about its axis", "a pendulum"),
     "half_length_m": ("half the distance between the pivots of the wheelsets", "calliper or ruler"),
     "wheelset_inertia_kgm2": ("inertia of one wheelset about its pivot", "the drawing"),
@@ -81,7 +81,7 @@ MEASURES = {
 
 
 def measures() -> str:
-    """What to measure on the board, and what an error in it leaves of a fit, by `fit/measures.py`."""
+    """What to measure on the board, and the error of a fit with a wrong measure, from `fit/measures.py`."""
     study = json.loads((Path(__file__).parents[1] / "measures.json").read_text(encoding="utf-8"))
     percent = f"{100 * study['error']:g}%"
     rows = ["| key | what | how | train runs | held-out runs |", "|---|---|---|---|---|"]

@@ -45,14 +45,14 @@ def turning(folder: Path) -> list[Claim]:
             f"{own[-1, 2]:.3f} and {nine[-1, 2]:.3f} rad (`free`: {free[0]:.3f} and {free[1]:.3f}; ideal"
             f" {ideal[-1, 2]:.3f})",
             verdict(abs(own[-1, 2] - 0.95) < 0.1 and abs(nine[-1, 2] - 0.95) < 0.1),
-            f"both within 0.1 rad. The start matters as much as the tyre: joints that follow exactly from the first"
-            f" instant give {tracked:.3f} rad",
+            f"both within 0.1 rad. The start matters as much as the tyre: joints that follow their commands"
+            f" exactly from the first instant give {tracked:.3f} rad",
         ),
         Claim(
             "P5", "Rotate: the Pacejka heading has about two frequency components, the Rayleigh one only one",
             f"second largest over largest peak of the spectrum: {ratio[0]:.3f} (Pacejka), {ratio[1]:.3f} (k_s = 9)",
             verdict(ratio[0] > 0.1 > ratio[1], ratio[0] > 0.05 > ratio[1]),
-            "a second component is counted from a tenth of the first, after 2 s, less a straight line",
+            "a second component counts if it is at least a tenth of the first, after 2 s, without a straight line",
         ),
         Claim(
             "P11", "Rotate moves the board very little",
@@ -64,7 +64,7 @@ def turning(folder: Path) -> list[Claim]:
             f"k_s from {K_S[0]:g} to {K_S[-1]:g}: final angle {ends.min():.2f} to {ends.max():.2f} rad; phase at"
             f" 4 rad/s within {np.ptp(phases):.2f} rad",
             verdict(np.ptp(ends) > 0.2 and np.ptp(phases) < 0.2, np.ptp(ends) > 0.2 and np.ptp(phases) < 0.6),
-            "angles apart by more, phases by less than 0.2 rad",
+            "final angles differ by more, phases by less than 0.2 rad",
         ),
     ]  # fmt: skip
 

@@ -85,7 +85,7 @@ def with_payload(folder: Path, loads: np.ndarray, cambers: np.ndarray) -> list[C
             "D depends only on the road",
             f"Bakker's D is {peak[0]:.3g}, {peak[1]:.3g} and {peak[2]:.4g} N at loads of 2.54, 5.08 and 1000 N",
             verdict(max(peak) / min(peak) < 1.1),
-            "D at these loads within 10 %; it is D over load that is nearly constant",
+            "D at these loads within 10 %; the ratio of D to load is nearly constant",
         )
     )
     return rows
@@ -97,10 +97,12 @@ def readings() -> str:
     near = {}
     light = sj.Board(**{**vars_of(example.model.board), "mass": mass(example) / 2})
     offsets = sj.Model(example.model.board, sj.Bakker(2.54, 0.52).coefficients(), "coupled")
-    for what, model in (("half that mass", sj.Model(light, board(example).tyre)), ("camber offsets in", offsets)):
+    for what, model in (("half that mass", sj.Model(light, board(example).tyre)), ("with camber offsets", offsets)):
         found = sj.nearest_rayleigh(model, example.gait, times(example), {"tyre.D": [float(model.tyre.D)]})
         near[what] = f"{what} {100 * float(found.mismatch[0]):.2g} % (k_s = {float(found.best[0]):.3g})"
-    return "Read as m = 2 load / 9.81 without camber offsets; otherwise, at 2.54 N: " + ", ".join(near.values())
+    return "We read the load as m = 2 load / 9.81, without camber offsets. Other readings at 2.54 N: " + ", ".join(
+        near.values()
+    )
 
 
 def vars_of(own: sj.Board) -> dict:

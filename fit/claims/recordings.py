@@ -48,14 +48,14 @@ def recorded(folder: Path, recordings: list[Path]) -> tuple[list[Claim], str]:
             "P10", "Forward disagrees more than rotate because longitudinal slip is missing (a hypothesis)",
             f"adding it lowers the misfit of forward by more than that of rotate on {more} of {len(recordings)}"
             " recordings",
-            "tested", "by a hundredth of it at least, fitted to all train runs; these boards are not the paper's: what"
-            " is said holds for them",
+            "tested", "by at least 1 %, fitted to all train runs. These boards are not the board of the paper, so the"
+            " result holds only for them",
         ),
         Claim(
             "P13", "No k_s matches the forward recording",
             f"error of the forward runs at the k_s that is best for them: {three_digits(min(beaten))} to"
             f" {three_digits(max(beaten))} times the noise",
-            verdict(min(beaten) > 2), "above twice the noise. The paper's own is not public: nobody can replay it",
+            verdict(min(beaten) > 2), "above twice the noise. The recording of the paper is not public",
         ),
     ]  # fmt: skip
     return rows, "\n".join([*head, *lines])
