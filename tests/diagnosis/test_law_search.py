@@ -135,6 +135,7 @@ def test_units_of_products() -> None:
     assert unit_text(power({"m": 1}, -1)) == "1/m" and unit_text({}) == "-"
 
 
+@pytest.mark.slow
 def test_of_laws_that_do_as_well_the_one_with_the_fewest_parameters_comes_first() -> None:
     """A spring is a plane with one stiffness along both axes; the plane has a parameter more to fit noise with."""
     for seed in range(4):
