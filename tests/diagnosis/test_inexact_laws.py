@@ -90,13 +90,13 @@ def test_of_laws_that_do_as_well_the_one_that_predicts_runs_left_out_best_is_kep
         proposal("third", "X", ("x",), 1001.0),
     ]
 
-    def fitted(*given: Any) -> laws.FoundLaw | None:
+    def fitted(*given: Any) -> laws.FittedLaw | None:
         name = given[-1].law.expression
         deviance = deviances[name]
         if deviance is None:
             return None
         blocks = deviance * np.array([1.0, 1.01, 0.99])
-        return laws.FoundLaw(name, None, None, None, blocks)  # type: ignore[arg-type]
+        return laws.FittedLaw(name, None, None, None, blocks)  # type: ignore[arg-type]
 
     monkeypatch.setattr(laws, "_fitted", fitted)
     monkeypatch.setattr(laws, "proposed", lambda search, weak: found)

@@ -268,7 +268,7 @@ def _deliver(
 
     if name in json_paths and (path := json_paths[name]) is not None:
         write_whole(path, as_text(outcome.json))
-    # What was found is told before it is drawn: nothing is lost where a drawing fails.
+    # Results are printed before they are drawn: nothing is lost if a drawing fails.
     if name in json_paths and json_paths[name] is None:
         sys.stdout.write(as_text(outcome.json))
     elif not options.quiet:

@@ -23,7 +23,7 @@ from .selection.working_step import WorkingStep, selection_step
 
 
 class DiagnosisOptions(TypedDict, total=False):
-    """What `diagnose` and `explain` can be told beyond the recordings and the candidates.
+    """What `diagnose` and `explain` can be given beyond the recordings and the candidates.
 
     `kind`: the tyre law of the base, "pacejka" (default) or "rayleigh"; `constraint`: its structure (default: the
     case's); `start`: the base before it is fitted, in place of both; `held`: names of parameters of tyre or effects

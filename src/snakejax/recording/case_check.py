@@ -33,7 +33,7 @@ class Issue(NamedTuple):
 
     @property
     def alike(self) -> Hashable:
-        """What issues that are told together have in common, see `quality.in_brief`."""
+        """What issues that are shortened to one have in common, see `quality.in_brief`."""
         return self.kind or self.what, self.severity, self.remedy
 
 

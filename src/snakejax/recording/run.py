@@ -41,7 +41,7 @@ class Run(eqx.Module):
     A run that is `moving` was already under way at its first sample `times[0]`; any other starts at rest at time 0.
     `log`, where its joints were logged, is how the log's clock goes; the gait is on the cameras' already. `wander`
     (n, 3, q): where that log has noise, the model's pose is off by wander z with z standard normal, in m and rad.
-    A window of a longer run is `cut_from` the run of that name. Errors of predictions are told for each `group`.
+    A window of a longer run is `cut_from` the run of that name. Errors of predictions are reported for each `group`.
     """
 
     name: str = eqx.field(static=True)

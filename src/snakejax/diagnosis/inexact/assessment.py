@@ -1,4 +1,4 @@
-"""Everything that is told of the effects which a search has found, as plain numbers."""
+"""What is reported about the effects that a search has found, as plain numbers."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
@@ -90,7 +90,7 @@ def assess(
     heldout: Sequence[Run],
     laws: Mapping[str, tuple[str, ...]],
 ) -> Assessment:
-    """All that is told of the point of `linear`, judged by the `heldout` runs; `base`: effects always in the model;
+    """What is reported about the point of `linear`, judged by the `heldout` runs; `base`: effects always in the model;
     `laws`: those of its effects that are laws, with other laws that do as well."""
     criteria, scales = search.criteria, search.scales
     evidence = world(search, linear)

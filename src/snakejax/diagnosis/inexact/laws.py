@@ -1,9 +1,9 @@
 """A law beside a random force: proposed by the segments, then an effect of the model like any other.
 
-A random force that is as strong as the law explains the same motion, so that a law is hardly told beside the force that
-was estimated without it. It is looked for beside a weaker one, together with the known effects that show there; then
-everything is fitted anew, the random force included, and the law must be significant among all forms that were tried
-and must predict train runs better that were left out.
+A random force that is as strong as the law explains the same motion, so a law is hardly significant beside the force
+that was estimated without it. The search therefore assumes a weaker force, together with the known effects that are
+significant beside that one. Then everything is fitted anew, the random force included. The law must be significant
+among all forms that were tried, and must predict omitted train runs better.
 """
 
 from collections.abc import Sequence
@@ -58,7 +58,7 @@ class Proposal(NamedTuple):
         return frozenset(term.formulas for term in self.law.family.terms), len(self.law.family.shape)
 
 
-class FoundLaw(NamedTuple):
+class FittedLaw(NamedTuple):
     """The law `name` in the model at `linear`, whose candidates `candidate_set` and `search` hold.
 
     `deviance` (N,): -2 log density of train runs left out, block by block, under the noise and the random force beside
@@ -75,7 +75,7 @@ class FoundLaw(NamedTuple):
 
 def with_law(
     case: Case, noise: Noise, candidate_set: CandidateSet, search: Search, linear: Linear, base: Sequence[str]
-) -> FoundLaw | None:
+) -> FittedLaw | None:
     """The model with the law that predicts train runs left out best, or None.
 
     None where no law predicts them better than `linear` does, each under its own random force, by more than the
@@ -86,7 +86,7 @@ def with_law(
     search.progress(ProgressEvent(Phase.LAW_SEARCH))
     proposals = [one for weak in beside_weaker_force(search, linear) for one in proposed(search, weak)]
     ordered = distinct(proposals)
-    fitted: list[tuple[Proposal, FoundLaw]] = []
+    fitted: list[tuple[Proposal, FittedLaw]] = []
     for one in near(ordered, search.criteria.distinct_chi2):
         search.progress(ProgressEvent(Phase.LAW_FIT, f"fitting {one.law.expression} beside a random force"))
         with_one = _fitted(case, noise, candidate_set, search, base, one)
@@ -115,7 +115,7 @@ def near(ordered: Sequence[Proposal], distinct_chi2: float) -> list[Proposal]:
 
 def _fitted(
     case: Case, noise: Noise, candidate_set: CandidateSet, search: Search, base: Sequence[str], one: Proposal
-) -> FoundLaw | None:
+) -> FittedLaw | None:
     """The model with the law of a proposal, its effects chosen again; None where the law is not among them then."""
     (name,) = law_names(1)
     own_set, own = search_with(case, noise, candidate_set, search, base, {name: one.law}, {name: one.forms})
@@ -126,7 +126,7 @@ def _fitted(
     effects = linear.point.effects
     if name not in effects:
         return None
-    return FoundLaw(name, own_set, own, linear, left_out(own, linear).deviance(effects))
+    return FittedLaw(name, own_set, own, linear, left_out(own, linear).deviance(effects))
 
 
 def distinct(proposals: Sequence[Proposal]) -> list[Proposal]:

@@ -24,7 +24,7 @@ BLOCK = 64
 FEWEST_CHI2 = 9.0
 """A term is left out where that raises chi^2 on runs left out by less than this: a likelihood ratio of exp(9 / 2)."""
 KEPT = 6
-"""So many laws are told."""
+"""The largest number of proposed laws."""
 
 
 GENERAL = {

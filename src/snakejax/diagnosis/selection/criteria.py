@@ -62,7 +62,7 @@ class SelectionCriteria(NamedTuple):
 
     # How wide the search is
     most_effects: int = 4
-    """Effects that are added one by one to a model, at most: more cannot be told apart by a few runs."""
+    """Effects that are added one by one to a model, at most: a few runs cannot distinguish more."""
     most_effects_at_once: int = 3
     """Effects that are added together to a model far from the recordings, at most."""
     beam_width: int = 3
@@ -134,4 +134,4 @@ class SelectionCriteria(NamedTuple):
 
 
 CRITERIA = SelectionCriteria()
-"""The criteria of every diagnosis that is not told others."""
+"""The criteria of every diagnosis that is given no others."""

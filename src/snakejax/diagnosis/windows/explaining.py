@@ -27,7 +27,7 @@ from ..selection.candidates import BaseFit, CandidateSet, structures
 from ..selection.criteria import SelectionCriteria
 from ..selection.steps import SWITCH_DESCRIPTION, CandidateScore, SelectionStep
 from .own_motion import own_floor
-from .search import Candidate, Found, WindowSearch, first_state, further_states, left_out_gain, twins
+from .search import Candidate, SearchState, WindowSearch, first_state, further_states, left_out_gain, twins
 from .steps import step_of
 
 WIDTH = 26
@@ -56,12 +56,12 @@ class WindowQuestion(NamedTuple):
     searches: tuple[WindowSearch, ...]
     with_: tuple[str, ...]
 
-    def first(self, number: int) -> Found:
+    def first(self, number: int) -> SearchState:
         """The model of structure `number` without effects, fitted."""
         problem = self.searches[number].problem
         return first_state(self.searches[number], WindowPoint(problem.values(), np.asarray(problem.batch.start)))
 
-    def step(self, number: int, state: Found) -> SelectionStep:
+    def step(self, number: int, state: SearchState) -> SelectionStep:
         """The record of `state` under structure `number`."""
         switch = LATERAL_SLIP_SWITCH if number and not state.effects else ""
         return step_of(self.searches[number], self.sets[number], state, switch, self.with_)
@@ -166,7 +166,7 @@ def recordings_of(names: list[str]) -> np.ndarray:
 
 
 def _explanation(
-    case: Case, noise: Noise, steps: list[SelectionStep], path: list[tuple[WindowSearch, Found]]
+    case: Case, noise: Noise, steps: list[SelectionStep], path: list[tuple[WindowSearch, SearchState]]
 ) -> Explanation:
     search, last = path[-1]
     final, criteria = steps[-1], search.criteria
@@ -222,7 +222,7 @@ def _median_error(step: SelectionStep) -> tuple[float, float]:
     return float(np.median(errors[:, 0])), float(np.median(errors[:, 1]))
 
 
-def _shares(path: list[tuple[WindowSearch, Found]], steps: list[SelectionStep]) -> tuple[dict[str, float], float]:
+def _shares(path: list[tuple[WindowSearch, SearchState]], steps: list[SelectionStep]) -> tuple[dict[str, float], float]:
     """By step the share of the error of the base, on recordings left out, that it takes away, and that of all together.
 
     The error is the robust one on the scale of the base: that of the mean square would be the error of the few windows
@@ -261,7 +261,7 @@ def _only_noise(final: SelectionStep, parameters: int) -> bool:
 
 
 def _tried(
-    path: list[tuple[WindowSearch, Found]], number: int, others: dict[str, tuple[str, ...]]
+    path: list[tuple[WindowSearch, SearchState]], number: int, others: dict[str, tuple[str, ...]]
 ) -> list[TriedCandidate]:
     """One row for each candidate beside one state; what the next state has is `taken`. `others`: the twins of each
     effect of the last state."""

@@ -15,7 +15,7 @@ from ..explanation import PoseError
 STEADY = 0.02
 """A command is steady where it stays within this share of its largest size in all recordings."""
 FEWEST = 5
-"""The least number of steady windows of which a median is told."""
+"""The least number of steady windows of which a median is reported."""
 
 
 def steady_windows(runs: Sequence[Run]) -> list[list[int]]:

@@ -225,7 +225,7 @@ def _p_value(away: np.ndarray, covariance: np.ndarray, recordings: int) -> float
     return float(stats.f.sf(t2 * (recordings - k) / (k * (recordings - 1)), k, recordings - k))
 
 
-class Found(NamedTuple):
+class SearchState(NamedTuple):
     """One state of the search: the linear problem at its optimum, and the candidates beside it, the best first."""
 
     linear: WindowProblem
@@ -237,7 +237,7 @@ class Found(NamedTuple):
         return self.linear.effects
 
 
-def first_state(search: WindowSearch, point: WindowPoint) -> Found:
+def first_state(search: WindowSearch, point: WindowPoint) -> SearchState:
     """The model without effects, fitted from `point`: first the beginnings of the windows, then all of them."""
     search.progress(ProgressEvent(Phase.FIRST_SECONDS))
     point = search.fitted(point, (), until=EARLY)
@@ -245,7 +245,7 @@ def first_state(search: WindowSearch, point: WindowPoint) -> Found:
     return _state(search, search.fitted(point, ()), ())
 
 
-def further_states(search: WindowSearch, first: Found) -> list[Found]:
+def further_states(search: WindowSearch, first: SearchState) -> list[SearchState]:
     """The states that follow the `first`, each with one effect more."""
     states = [first]
     while len(states[-1].effects) < MOST_EFFECTS:
@@ -265,14 +265,14 @@ def left_out_gain(before: WindowProblem, after: WindowProblem) -> Gain:
     return Gain(first - second, float(1.0 - second.sum() / first.sum()))
 
 
-def _state(search: WindowSearch, point: WindowPoint, effects: Sequence[str]) -> Found:
+def _state(search: WindowSearch, point: WindowPoint, effects: Sequence[str]) -> SearchState:
     linear = search.linear(point, effects)
     absent = [effect for effect in search.model.candidates if effect not in effects]
     tried = [search.candidate(linear, effect) for effect in absent]
-    return Found(linear, tuple(sorted(tried, key=lambda one: -one.gain.by_part.sum())))
+    return SearchState(linear, tuple(sorted(tried, key=lambda one: -one.gain.by_part.sum())))
 
 
-def _further(search: WindowSearch, last: Found) -> Found | None:
+def _further(search: WindowSearch, last: SearchState) -> SearchState | None:
     """The state with one effect more, which still predicts recordings left out where it was fitted; None without."""
     useful = [one for one in last.candidates if one.predicts(search.criteria)]
     for one in useful[:MOST_REFITTED]:
@@ -286,7 +286,7 @@ def _further(search: WindowSearch, last: Found) -> Found | None:
     return None
 
 
-def twins(search: WindowSearch, state: Found, effect: str) -> tuple[str, ...]:
+def twins(search: WindowSearch, state: SearchState, effect: str) -> tuple[str, ...]:
     """The candidates that these recordings cannot tell from `effect`, the best first.
 
     In its place they predict recordings left out by less than the standard error of the difference worse, and lose less

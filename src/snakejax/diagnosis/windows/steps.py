@@ -12,11 +12,11 @@ from snakejax.estimation.uncertainty import UNDETERMINED_SD, Estimate
 from ..selection.candidates import CandidateSet
 from ..selection.steps import CandidateScore, SelectionStep
 from ..selection.working_step import judged_runs
-from .search import Candidate, Found, WindowSearch, larger_sd, twins
+from .search import Candidate, SearchState, WindowSearch, larger_sd, twins
 
 
 def step_of(
-    search: WindowSearch, candidate_set: CandidateSet, state: Found, name: str, with_: tuple[str, ...]
+    search: WindowSearch, candidate_set: CandidateSet, state: SearchState, name: str, with_: tuple[str, ...]
 ) -> SelectionStep:
     """The step to `state`: `name` says what was changed, by default the last of its effects; the base has neither."""
     name = name or (state.effects[-1] if state.effects else "")
@@ -49,7 +49,7 @@ def step_of(
     )
 
 
-def estimates_of_state(search: WindowSearch, state: Found) -> dict[str, Estimate]:
+def estimates_of_state(search: WindowSearch, state: SearchState) -> dict[str, Estimate]:
     """Value and standard error of each free parameter, by name.
 
     The standard error is the larger one of two: that of windows that count as one pose each, and that of the jackknife
@@ -70,7 +70,7 @@ def estimates_of_state(search: WindowSearch, state: Found) -> dict[str, Estimate
     return estimates
 
 
-def _ranking(search: WindowSearch, state: Found, misfit: float) -> tuple[CandidateScore, ...]:
+def _ranking(search: WindowSearch, state: SearchState, misfit: float) -> tuple[CandidateScore, ...]:
     """The candidates beside a state, the one that recordings left out gain most by first; `misfit`: that of the train
     windows without them."""
     known, model, rows = search.problem.model.effects, search.model, []
@@ -102,7 +102,7 @@ def _ranking(search: WindowSearch, state: Found, misfit: float) -> tuple[Candida
     return tuple(rows)
 
 
-def _confusable(search: WindowSearch, state: Found, one: Candidate) -> tuple[str, ...]:
+def _confusable(search: WindowSearch, state: SearchState, one: Candidate) -> tuple[str, ...]:
     """The other candidates that these recordings cannot tell from `one`, where it does anything."""
     if not one.gain.by_part.sum() > 0:
         return ()

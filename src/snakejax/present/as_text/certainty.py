@@ -73,7 +73,7 @@ SURE_OF_WINDOWS = "Sure: the recordings agree on its value, and each is predicte
 
 
 def percent(share: float) -> str:
-    """A share in percent; the largest that is told is `more than 99.9%`."""
+    """A share in percent; the largest that is printed is `more than 99.9%`."""
     return (
         "more than 99.9%" if 0.999 < share < 1.0 else f"{100 * share:.1f}%" if share > 0.99 else f"{100 * share:.0f}%"
     )

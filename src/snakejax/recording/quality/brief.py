@@ -1,14 +1,14 @@
-"""What is found in many runs, told once."""
+"""Messages that are alike in many runs are shortened to one."""
 
 from collections.abc import Hashable, Sequence
 from typing import Protocol, Self, TypeVar
 
 ALIKE = 3
-"""What is found in more runs than these is told once."""
+"""Messages that are alike in more runs than these are shortened to one."""
 
 
-class Told(Protocol):
-    """Something found in `run`: `what` says it, and `alike` is what it has in common with what is told together."""
+class RunMessage(Protocol):
+    """The message `what` about `run`; messages with the same `alike` are shortened to one."""
 
     @property
     def run(self) -> str | None: ...
@@ -22,11 +22,11 @@ class Told(Protocol):
     def _replace(self, *, what: str) -> Self: ...
 
 
-One = TypeVar("One", bound=Told)
+One = TypeVar("One", bound=RunMessage)
 
 
 def in_brief(entries: Sequence[One]) -> list[One]:
-    """Of what is alike in more than `ALIKE` runs the first, with the number of the runs; all else as it is."""
+    """`entries`, but of those that are alike in more than `ALIKE` runs only the first, with the number of runs."""
     groups: dict[Hashable, list[One]] = {}
     for one in entries:
         groups.setdefault(one.alike, []).append(one)

@@ -73,7 +73,7 @@ class Finding(NamedTuple):
 
     @property
     def alike(self) -> Hashable:
-        """What findings that are told together have in common, see `in_brief`."""
+        """What findings that are shortened to one have in common, see `in_brief`."""
         return self.kind, self.action, self.severity, self.applied
 
 

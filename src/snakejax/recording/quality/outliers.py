@@ -13,9 +13,9 @@ RUNNER_UP_SHARE = 0.6
 FEW = 3
 """So many frames off the path are a teleport, more another body."""
 BRIEF = 0.08
-"""Across four times this [s] the path can be told from how it is before and after."""
+"""Across four times this [s] the path can be interpolated."""
 LATEST = 1.0
-"""Clocks that jump by more than this [s] are not told from other bodies."""
+"""Clocks that jump by more than this [s] are not distinguished from other bodies."""
 SHORTEST = 1.0
 """A run cut off at a jump of its clock is worth fitting from this length [s] on."""
 UNLIKE = "they count as lost; window_s selects the good part of a run"

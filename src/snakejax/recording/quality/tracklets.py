@@ -121,7 +121,7 @@ def bodies(track: PoseSeries, pieces: list[Int[np.ndarray, " k"]], limits: Bound
                     break
                 most = LONG if wait > STRAYS * limits.frame else TAIL
                 now = float(miss(end_of(track, limits.noise, tail, True, most), begins[most], limits))
-                # Without a frame that strayed it is met well; without good frames it is only not told so well.
+                # Without a frame that strayed it is met well; without good frames its place is only known less well.
                 if now < (SURE if not less else min(SURE, off / 3)):
                     met.append((wait, less, body))
                     break

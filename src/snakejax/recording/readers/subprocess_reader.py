@@ -1,6 +1,6 @@
 """Reading by a library of another language in a process of its own, so that a damaged file can only end that one.
 
-The library may crash, hang, or ask for any amount of memory; the user is told in one line.
+The library may crash, hang, or ask for any amount of memory; the user gets one line.
 """
 
 import importlib

@@ -27,7 +27,7 @@ ALIASES = {"drive": ("throttle",), STAMP: ("elapsed time sensors",), ENABLE: ("s
 OFFSET_QUANTILE = 0.05
 """The offset of the clocks is this quantile of arrival less stamp: a message whose stamp is wrong does not count."""
 LATE = 0.03
-"""Messages later than the offset by more than this [s] are told."""
+"""Messages later than the offset by more than this [s] are reported."""
 FEWEST_MESSAGES = 4
 DISABLED = ("command", "torque")
 """Kinds of inputs that are zero where the safety is off; a steering still acts."""
