@@ -11,7 +11,7 @@ from snakejax.core.progress import Progress, no_progress
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.dynamics.ports import Effect
 from snakejax.estimation.fit_workspace import fit_workspace
-from snakejax.estimation.goodness_of_fit import consistent_with_noise
+from snakejax.estimation.goodness_of_fit import consistent_with_noise, noise_band
 from snakejax.estimation.joint_logs.clocks import STILL, free_clocks
 from snakejax.estimation.joint_logs.fitting import (
     with_aligned_logs,
@@ -83,7 +83,7 @@ def explain(
         case = improved
         diagnosis = diagnose_base(case, noise, library, **question)
     if not _one_effect_explains(diagnosis):
-        explanation = _when_no_model_is_exact(case, noise, diagnosis, progress)
+        explanation = _with_all_effects_at_once(case, noise, diagnosis, progress)
         if explanation is not None:
             for step in explanation.steps if logged else explanation.steps[1:]:
                 show(step)
@@ -111,7 +111,7 @@ def _select(
 
 
 def _one_effect_explains(diagnosis: BaseDiagnosis) -> bool:
-    """Whether the base, or the base and one effect, leaves only noise: the model is exact."""
+    """Whether the base, or the base and one effect, leaves only noise: such a model is exact."""
     base = diagnosis.base
     if consistent_with_noise(base.step.solution) and not significant(base.ranking, base.candidate_set.criteria):
         return True
@@ -173,13 +173,15 @@ def _with_clock_errors(explanation: Explanation, last: WorkingStep, progress: Pr
     return dataclasses.replace(explanation, steps=(*explanation.steps[:-1], final), case=case)
 
 
-def _when_no_model_is_exact(
+def _with_all_effects_at_once(
     case: Case, noise: Noise, diagnosis: BaseDiagnosis, progress: Progress
 ) -> Explanation | None:
-    """The explanation with a random force, wandering noise and constants within their priors.
+    """The explanation by effects that are chosen together, beside a random force, wandering noise and constants within
+    their priors.
 
-    None where no such thing is found, so that a model is exact; and where a law is lacking: its force is too large for
-    a random one, errors grow faster than a random force lets them, or what was found does not lower the error.
+    None where a model with a few effects is exact: a search on whole runs finds those. None where a law is lacking: its
+    force is too large for a random one, errors grow faster than a random force lets them, or the effects do not lower
+    the error.
     """
     candidate_set = diagnosis.switched[0] if diagnosis.switched else diagnosis.base.candidate_set
     if not supports(candidate_set):
@@ -188,13 +190,21 @@ def _when_no_model_is_exact(
         assessment = assess_effects(case, noise, candidate_set, diagnosis.base.step.effects, progress)
     except FitError:
         return None
-    criteria = candidate_set.criteria
-    if assessment.world.exact or assessment.random_force_share > criteria.largest_random_force:
+    criteria, exact = candidate_set.criteria, assessment.world.exact
+    if exact and len(assessment.effects) <= criteria.most_effects_at_once:
+        return None
+    if assessment.random_force_share > criteria.largest_random_force:
         return None
     if assessment.inside("train") < criteria.least_inside:
         return None
     steps = (diagnosis.base.record, *steps_of(assessment))
-    return explanation_of(case, noise, assessment, criteria, steps) if _lower_error(steps) else None
+    if not _lower_error(steps) or (exact and not _only_noise_in_train_runs(steps[-1])):
+        return None
+    return explanation_of(case, noise, assessment, criteria, steps)
+
+
+def _only_noise_in_train_runs(step: SelectionStep) -> bool:
+    return step.train.misfit <= noise_band(step.train.samples, len(step.estimates))[1]
 
 
 def _lower_error(steps: Sequence[SelectionStep]) -> bool:
