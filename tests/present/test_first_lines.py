@@ -361,7 +361,10 @@ def test_a_title_is_not_precise_to_nanometres() -> None:
     assert legend == [
         "best known: off by 560 mm and 980 mrad",
         "tuned: off by less than 0.002 mm and 0.002 mrad",
+        "target",
     ]
+    target = charts(page)["chart-path"]["data"][-1]
+    assert (target["name"], target["x"], target["y"]) == ("target position", [0.5], [0.3])
 
 
 STOPPED = ("base", "rotor_gain", "quadratic_drag", "lateral_skid")
