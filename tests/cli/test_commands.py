@@ -119,7 +119,9 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (("fly",), "invalid choice: 'fly'"),
+        (("fly",), "There is no command `fly`, argument COMMAND: remove it or write one that is known (known: check, "),
+        (("comparre", LEVEL), 'There is no command `comparre`, argument COMMAND: write "compare"'),
+        (("fit", LEVEL, "--skid", "fre"), '`fre` is not a value of --skid, option --skid: write "free" (known: free,'),
         (("fit",), "required: CASE"),
         (("fit", "nowhere"), "There is no such folder, nowhere: give the folder with case.toml"),
         (("fit", LEVEL, "--seed", "x"), "invalid int value"),
@@ -235,6 +237,7 @@ def test_paper_rotate_turns_as_published(say, tmp_path: Path) -> None:
     assert table[-1, 3] == pytest.approx(0.916, abs=1e-3)
     said = say("simulate", "paper-rotate", "--model", "rayleigh", "--set", "k_s=9", "--json", "-")
     found = json.loads(said.out)
+    assert "noise" not in say("simulate", "paper-rotate").out, "a preset has no recording to be compared with"
     assert found["runs"][0]["end"]["heading_rad"] == pytest.approx(1.003, abs=1e-3)
     assert (found["case"], found["model"], found["skid"]) == ("paper-rotate", "rayleigh", "coupled")
 
@@ -405,6 +408,29 @@ def test_an_effect_of_ones_own_is_fitted(say, short: Path, tmp_path: Path) -> No
     assert "--with FILE.py:Class" in said.err
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("returned", "expected"),
+    [
+        ("(jnp.zeros(3) @ jnp.zeros(2), 0.0, 0.0)", " line 8: correct the file; "),
+        ("(0.0, 0.0)", ", this command: a bug in snakejax or "),
+    ],
+)
+def test_an_error_in_an_effect_of_ones_own_is_not_called_a_bug_of_snakejax(say, tmp_path, returned, expected) -> None:
+    own = tmp_path / "mine.py"
+    lines = ["import jax.numpy as jnp", "import snakejax as sj", "", "class Pull(sj.Force):"]
+    lines += [
+        '    k: sj.Scalar = sj.param("N/m", default=0.0)',
+        "",
+        "    def wrench(self, motion):",
+        f"        return {returned}",
+    ]
+    own.write_text("\n".join(lines), encoding="utf-8")
+    said = say("simulate", "paper-rotate", "--with", f"{own}:Pull:k=1")
+    assert said.status == 1 and said.out == ""
+    assert expected in said.err and str(own) in said.err and LINE.fullmatch(said.err)
+
+
 def test_a_table_of_the_worst_fits_80_columns() -> None:
     score = RunScore("heldout-reverse-12", "heldout", 2.84e5, dict(x=5.4e5, y=1e8, heading=5e3), 0.4, 1.2, 9, 112.0)
     console = Console(width=78, file=io.StringIO(), record=True)
@@ -456,6 +482,8 @@ def test_sweep_writes_the_curve_and_the_figure(say, tmp_path):
     found = json.loads(said.out)
     assert found["D"] == pytest.approx(np.linspace(1, 4, 7).tolist())
     assert len(found["k_s"]) == len(found["mismatch"]) == 7 and len(found["polynomial"]) == 5
+    page = (tmp_path / "sweep.html").read_text()
+    assert found["units"] == {"D": "N"} and page.count(">D [N]<") == 1 and page.count('"D [N]"') == 2
     assert found["fitted_range"] == [1.0, 4.0] and 0.9 < found["r_squared"] <= 1
     assert (tmp_path / "sweep.png").exists() and (tmp_path / "sweep.nc").exists()
     assert len(list((tmp_path / "sweep-pieces").glob("*/*.npz"))) == 1
@@ -471,6 +499,7 @@ def test_sweep_over_the_k_s_of_a_rayleigh_board(say, tmp_path):
     assert found["k_s"] == [2, 21, 40] and "mismatch" not in found and found["polynomial"] is None
     assert len(set(found["end"]["x_m"])) == 3 and "k_s" in (tmp_path / "sweep.html").read_text()
     said = say("sweep", "paper-rotate", *vary)
+    assert said.out.splitlines()[1].split("  ")[0] == "k_s [N s/m]"
     assert said.status == 0 and [line.split()[0] for line in said.out.splitlines()[-3:]] == ["2", "21", "40"]
 
 

@@ -140,6 +140,19 @@ def test_no_output_calls_a_mean_square_an_error() -> None:
     assert "misfit" not in " ".join(re.findall(r'aria-label="[^"]*"', page))
 
 
+def test_every_column_of_the_candidates_is_explained_below_them() -> None:
+    found = story()
+    text = joined(shown(diagnosis_text(found.case, found.base)))
+    heads, _, legend = text.partition("p: probability of such an improvement by chance")
+    for column in ("/ noise", "expected", "detects"):
+        assert column in heads and f"{column}: " in legend
+    legend = joined(shown(explanation_text(found))).partition("p: probability")[2]
+    assert "expected: " in legend and "detects: " not in legend
+    assert "Detects: the smallest value that these runs would show" in words(
+        explanation_page(found, result(), models())
+    )
+
+
 HEADS = ("cause", "error", "validation", "how sure")
 
 
@@ -348,7 +361,10 @@ def test_a_title_is_not_precise_to_nanometres() -> None:
     assert legend == [
         "best known: off by 560 mm and 980 mrad",
         "tuned: off by less than 0.002 mm and 0.002 mrad",
+        "target",
     ]
+    target = charts(page)["chart-path"]["data"][-1]
+    assert (target["name"], target["x"], target["y"]) == ("target position", [0.5], [0.3])
 
 
 STOPPED = ("base", "rotor_gain", "quadratic_drag", "lateral_skid")

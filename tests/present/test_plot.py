@@ -85,6 +85,32 @@ def test_a_figure_is_as_it_was_looked_at(name, model, tmp_path) -> None:
     assert compare_images(str(kept), str(drawn), tol=TOLERANCE) is None
 
 
+def test_the_lines_of_the_ranking_are_named_and_at_their_places() -> None:
+    base = story().base
+    base = dataclasses.replace(base, criteria=base.criteria._replace(significance_level=1e-3))
+    figure = plot.ranking(base)
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()][-2:] == ["base", "significance level 0.001"]
+    assert figure.axes[2].lines[0].get_xdata()[0] == pytest.approx(3.0)
+
+
+def test_each_channel_of_the_residuals_is_named_beside_its_axis(model) -> None:
+    axes = plot.residuals(model).axes
+    assert [axis.get_ylabel() for axis in axes[:3]] == ["x / noise", "y / noise", "heading / noise"]
+    assert {axis.get_xlabel() for axis in axes[-3:]} == {"time [s]"}
+
+
+def test_only_candidates_that_are_mistaken_for_others_are_in_the_figure_of_them() -> None:
+    base = story().base
+    axis = plot.confusability(base).axes[0]
+    shown = {label.get_text() for label in axis.get_yticklabels()}
+    paired = {name for one in base.ranking for name in (one.effect, *one.confusable_with) if one.confusable_with}
+    assert shown == paired and len(shown) < len(base.ranking)
+    alone = tuple(dataclasses.replace(one, confusable_with=()) for one in base.ranking)
+    axis = plot.confusability(dataclasses.replace(base, ranking=alone)).axes[0]
+    assert [text.get_text() for text in axis.texts] == ["all are distinguished"] and not axis.patches
+
+
 def exchanged(model: ModelView) -> ModelView:
     """With x and y of its paths exchanged."""
     return model._replace(scenes=tuple(s._replace(pose=s.pose[:, [1, 0, 2]]) for s in model.scenes))

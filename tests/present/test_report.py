@@ -130,7 +130,16 @@ def test_a_sweep_along_one_parameter(browser, tmp_path) -> None:
     k_s = [None, *(3.0 + 2 * d for d in D[1:])]
     ends = {"x_m": [0.01 * d for d in D], "y_m": [0.0] * 12, "heading_rad": [None, *D[1:]]}
     fitted = {"polynomial": [0.0, 0.0, 0.0, 2.0, 3.0], "r_squared": 1.0, "fitted_range": [1.0, 6.0]}
-    result = {**HEAD, "axes": ["D"], "D": D, "k_s": k_s, "mismatch": [0.01] * 12, **fitted, "end": ends}
+    result = {
+        **HEAD,
+        "axes": ["D"],
+        "units": {"D": "N"},
+        "D": D,
+        "k_s": k_s,
+        "mismatch": [0.01] * 12,
+        **fitted,
+        "end": ends,
+    }
     seen = Seen(browser, written(tmp_path, sweep_page(result)))
     numbers(seen)
     curve, marks = seen.traces("k_s")
@@ -143,7 +152,12 @@ def test_a_sweep_along_one_parameter(browser, tmp_path) -> None:
 def test_a_sweep_over_two_parameters(browser, tmp_path) -> None:
     values = [[1.0, 2.0, 3.0], [4.0, None, 6.0]]
     ends = {key: values for key in ("x_m", "y_m", "heading_rad")}
-    axes = {"axes": ["load", "camber"], "load": [1.0, 2.0], "camber": [0.0, 0.1, 0.2]}
+    axes = {
+        "axes": ["load", "camber"],
+        "units": {"load": "N", "camber": "rad"},
+        "load": [1.0, 2.0],
+        "camber": [0.0, 0.1, 0.2],
+    }
     nothing = {"polynomial": None, "r_squared": None, "fitted_range": None}
     result = {**HEAD, **axes, "k_s": values, "mismatch": values, **nothing, "end": ends}
     seen = Seen(browser, written(tmp_path, sweep_page(result)))

@@ -4,6 +4,9 @@ import os
 import sys
 import traceback
 
+from snakejax.commands.user_code import place_in_user_code, user_files
+from snakejax.core.errors import at_line
+
 DONE, FAILED, WRONG, INTERRUPTED = 0, 1, 2, 130
 
 
@@ -20,4 +23,8 @@ def unexpected(error: Exception, where: str = "this command") -> str:
     if os.environ.get("SNAKEJAX_DEBUG"):
         traceback.print_exception(error)
     first = (str(error).strip().splitlines() or [""])[0][:200]
-    return f"{type(error).__name__}: {first}, {where}: a bug in snakejax; set SNAKEJAX_DEBUG=1 for the traceback"
+    what, debug = f"{type(error).__name__}: {first}", "set SNAKEJAX_DEBUG=1 for the traceback"
+    if (place := place_in_user_code(error)) is not None:
+        return f"{what}, {at_line(*place)}: correct the file; {debug}"
+    whose = " or ".join(["snakejax", *user_files()])
+    return f"{what}, {where}: a bug in {whose}; {debug}"

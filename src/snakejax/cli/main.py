@@ -30,6 +30,18 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         raise InputError(message, "command line", f"see `{self.prog} --help`")
 
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """As argparse does. **Raises:** `InputError` for an unknown value, with the one that was meant."""
+        if action.choices is None or value in action.choices:
+            return
+        if isinstance(action, argparse._SubParsersAction):
+            what, where = f"There is no command `{value}`", "argument COMMAND"
+        else:
+            name = "/".join(action.option_strings) or str(action.metavar or action.dest).upper()
+            what = f"`{value}` is not a value of {name}"
+            where = f"{'option' if action.option_strings else 'argument'} {name}"
+        raise InputError(what, where, instead_of(str(value), map(str, action.choices)))
+
     def parse_known_args(self, args=None, namespace=None):  # type: ignore[override]
         """As argparse does. **Raises:** `InputError` for an unknown option, with the one that was meant."""
         known, rest = super().parse_known_args(args, namespace)

@@ -230,11 +230,12 @@ def _report(name: str, result: dict[str, Any]) -> Any:
     from snakejax.present.as_text.errors import times_noise_text
     from snakejax.present.as_text.tables import add_row, indented, not_converged_line, plain_table
 
-    right = ("duration\n[s]", "path\n[m]", "distance\n[m]", "turn\n[rad]", "error\n/ noise")
+    measured = any("misfit" in row for row in result["runs"])
+    right = ("duration\n[s]", "path\n[m]", "distance\n[m]", "turn\n[rad]", *["error\n/ noise"] * measured)
     table = plain_table("run", *right, right=right)
     for row in result["runs"]:
         numbers = (f"{row[key]:.4g}" for key in ("duration_s", "path_m", "distance_m", "turn_rad"))
-        add_row(table, row["run"], *numbers, times_noise_text(row.get("misfit")))
+        add_row(table, row["run"], *numbers, *[times_noise_text(row.get("misfit"))] * measured)
     base = result["base"]
     values = [
         f"{key} = {part['value']:.4g} {part['unit']}".removesuffix(" -")

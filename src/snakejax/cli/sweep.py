@@ -192,6 +192,7 @@ def _result(
     return {
         **heading_json(name, model, None, provenance_json(options.seed, given(options), sha256)),
         "axes": list(axes.dims),
+        "units": {name: boards[name].attrs["units"] for name in axes.coordinates},
         **{column: boards[column].values.tolist() for column in (*axes.coordinates, *matched)},
         "polynomial": curve and curve.coefficients,
         "r_squared": curve and curve.r_squared,
@@ -280,10 +281,14 @@ def _report(title: str, boards: Any, curve: Any, names: list[str]) -> Any:
     from rich.console import Group
     from rich.text import Text
 
-    from snakejax.present.as_text.tables import add_row, plain_table
+    from snakejax.present.as_text.tables import add_row, plain_table, with_unit
+    from snakejax.simulation.rayleigh_match import FEWEST
 
     matched = "mismatch" in boards
-    heads = [*names, *(["k_s [N s/m]", "mismatch"] if matched else ["x [m]", "y [m]", "heading [rad]"])]
+    heads = [
+        *(with_unit(name, boards[name].attrs["units"]) for name in names),
+        *(["k_s [N s/m]", "mismatch"] if matched else ["x [m]", "y [m]", "heading [rad]"]),
+    ]
     table = plain_table(*heads, right=tuple(heads))
     flat = boards.stack(board=boards.dims) if len(boards.dims) > 1 else boards
     count = flat[next(iter(flat.data_vars))].size
@@ -307,5 +312,5 @@ def _report(title: str, boards: Any, curve: Any, names: list[str]) -> Any:
         r_squared = "k_s is constant" if curve.r_squared is None else f"R^2 = {curve.r_squared:.5f}"
         lines.append(Text(f"k_s = {terms}, {name} from {low:.4g} to {high:.4g}, {r_squared}"))
     elif matched and len(boards.dims) == 1:
-        lines.append(Text("Too few values have a k_s for a polynomial."))
+        lines.append(Text(f"No polynomial: it needs a k_s at {FEWEST} values in a row."))
     return Group(*lines)

@@ -8,17 +8,17 @@ import equinox as eqx
 import numpy as np
 
 from snakejax.core.errors import InputError
-from snakejax.dynamics.inputs import Gait
-from snakejax.dynamics.signals import AbstractSignal, Tracked
 
 from .case import load_case
-from .quality import CONVENTIONS, Finding, Inspection, angles, clocks, estimate_noise, inspect
+from .quality import CONVENTIONS, Finding, Inspection, clocks, estimate_noise, farthest_steering, inspect
 from .run import Case, Run
 
 Severity = Literal["note", "doubtful"]
 
 STEEPEST = np.deg2rad(80)
 NOISE_FACTOR = 2.0
+JOINT_UNITS = ("angle_unit", "frequency_unit")
+"""Findings after which the clocks of cameras and joints cannot be compared."""
 
 
 class Issue(NamedTuple):
@@ -69,7 +69,8 @@ def check(
     inspected = inspection or inspect(case)
     issues = [*_whole(case), *_noise(inspected.case), *(_unused(case, Path(folder)) if folder is not None else ())]
     issues += [_issue(f) for f in inspected.findings if f.run is None]
-    turned = {f.run for f in inspected.findings if f.kind in (*CONVENTIONS, "frequency_unit")}
+    turned = {f.run for f in inspected.findings if f.kind in (*CONVENTIONS, *JOINT_UNITS)}
+    in_degrees = any(f.kind == "angle_unit" for f in inspected.findings)
     mended = {run.name: run for run in inspected.case.runs}
     for run in case.runs:
         of_run = [f for f in inspected.findings if f.run == run.name]
@@ -77,7 +78,7 @@ def check(
         if not (any(f.severity == "refused" for f in of_run) or run.log is not None or turned & {None, run.name}):
             of_run += clocks(mended.get(run.name, run))
         issues += [_issue(f._replace(run=run.name)) for f in of_run]
-        issues += _steering(run)
+        issues += () if in_degrees else _steering(run)
     return issues
 
 
@@ -147,12 +148,7 @@ def _unused(case: Case, folder: Path) -> Iterator[Issue]:
 
 
 def _steering(run: Run) -> Iterator[Issue]:
-    for name in ("phi", "phi_back") if isinstance(run.gait, Gait) else ():
-        signal: AbstractSignal | None = getattr(run.gait, name)
-        command = signal.command if isinstance(signal, Tracked) else signal
-        if command is None:
-            continue
-        steepest = float(np.abs(angles(command, np.asarray(run.times))).max())
+    for name, steepest in farthest_steering(run):
         if steepest > STEEPEST:
             reached = f"{name} is commanded to {np.rad2deg(steepest):.0f} degrees"
             what = f"{reached}: above 80 degrees the wheels may hit the board"

@@ -36,6 +36,8 @@ FOLLOWS = 0.1
 """Two boards match if the root mean square distance of their paths is below this fraction of the path length."""
 ORDER = 4
 """Order of the polynomial of k_s (Salman et al. 2016, Fig. 8)."""
+FEWEST = ORDER + 2
+"""Consecutive values with a k_s that the polynomial needs."""
 GROUPS = 16
 """Sets of Rayleigh boards that are held in memory at a time."""
 
@@ -200,7 +202,7 @@ def polynomial(values: Float[np.ndarray, " V"], k_s: Float[np.ndarray, " V"]) ->
     edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
     intervals = list(zip(edges[::2], edges[1::2], strict=True))
     first, last = max(intervals, key=lambda s: s[1] - s[0], default=(0, 0))
-    if last - first < ORDER + 2:
+    if last - first < FEWEST:
         return None
     x, y = values[first:last], k_s[first:last]
     fitted = np.polynomial.Polynomial.fit(x, y, ORDER)

@@ -138,11 +138,11 @@ def test_a_recording_that_shows_no_push_tells_nothing() -> None:
         ((7.0, 250.0, None), "half_length_m is 250: no board is 500 m long"),
         ((7.0, 15.0, None), None),
         ((7.0, 5e-4, None), "half_length_m is 0.0005: no board is 0.001 m long"),
-        ((7000.0, 0.25, None), "mass_kg = 7e+03 on half_length_m = 0.25 is heavier than solid steel"),
+        ((7000.0, 0.25, None), "mass_kg = 7000 on half_length_m = 0.25 is heavier than solid steel"),
         ((1e-3, 15.0, None), "mass_kg = 0.001 on half_length_m = 15 is lighter than air"),
         (
             (7.0, 0.25, 4375.0),
-            "inertia_kgm2 = 4.38e+03 is 1e+04 times mass half_length^2: it is 0.3 to 3 times for most",
+            "inertia_kgm2 = 4380 is 10000 times mass half_length^2: it is 0.3 to 3 times for most",
         ),
         ((0.01, 0.02, 1e-6), None),
         ((2000.0, 1.3, 3000.0), None),
@@ -152,6 +152,40 @@ def test_measures_that_no_vehicle_has(measures, words) -> None:
     mass, length, inertia = measures
     found = by_range(Board(mass, 0.0, 0.0, length, 0.01, inertia))
     assert [f.what for f in found] == ([] if words is None else [words])
+
+
+def in_degrees(case: Case, *joints: str) -> Case:
+    """`case` with the amplitudes of `joints` in degrees."""
+
+    def larger(gait: Gait) -> Gait:
+        signals = {name: getattr(gait, name) for name in joints}
+        commands = {
+            name: dataclasses.replace(tracked.command, amplitude=jnp.rad2deg(tracked.command.amplitude))
+            for name, tracked in signals.items()
+        }
+        return dataclasses.replace(
+            gait, **{name: dataclasses.replace(signals[name], command=commands[name]) for name in joints}
+        )
+
+    runs = tuple(dataclasses.replace(run, gait=larger(run.gait)) for run in case.runs)
+    return dataclasses.replace(case, runs=runs)
+
+
+@pytest.mark.parametrize("joints", [("phi",), ("phi", "psi")])
+def test_steering_in_degrees_is_refused_and_nothing_else_is_said(joints) -> None:
+    case = in_degrees(LEVEL, *joints)
+    (found,) = inspect(case).findings
+    assert (found.kind, found.severity, found.run) == ("angle_unit", "refused", None)
+    assert found.what.startswith("phi is commanded to 52.5 rad in train-")
+    assert found.what.endswith(", beyond half a turn: is this in degrees?")
+    assert found.remedy == "give phi and psi in rad: 1 degree is 0.01745 rad"
+    assert [doubt.what for doubt in check(case)] == [found.what]
+
+
+@pytest.mark.slow
+def test_a_rotor_in_degrees_is_named_before_wrong_measures() -> None:
+    words = "the board moves as if psi were in degrees, or rotor_inertia_kgm2 were 0.00041, not 0.0238, or mass_kg were"
+    assert said(in_degrees(LEVEL, "psi")) == [(f"{words} 410, not 7", "refused")]
 
 
 HERTZ = [

@@ -47,6 +47,15 @@ def missed_text(objective: Mapping[str, float]) -> str:
     return pose_error_text(*(objective[name] for name in POSE_ERRORS))
 
 
+def target_pose(objective: str) -> tuple[float, float, float] | None:
+    """x, y [m] and heading [rad] of the target `reach:x,y,heading`; None for another objective."""
+    kind, _, numbers = objective.partition(":")
+    if kind != "reach":
+        return None
+    x, y, heading = (float(part) for part in numbers.split(","))
+    return x, y, heading
+
+
 def error_text(score: Score | RunScore) -> str:
     """The root mean square error of runs: `0.567 mm and 2.50 mrad (1.00 times the noise)`."""
     pose = pose_error_text(score.position_m, score.heading_rad)

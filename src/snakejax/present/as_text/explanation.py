@@ -135,7 +135,7 @@ def candidate_table(step: SelectionStep, most: int = 6, detectable: bool = False
     titles = ("p", narrow(PREDICTED if near else WINDOWS), narrow(REFIT))
     table = plain_table("candidate", *titles, EXPECTED, *[DETECTS] * detectable, right=(*titles, DETECTS))
     for ranked in step.ranking[:most]:
-        p_value = "" if ranked.p_value is None else f"{ranked.p_value:.1g}" if ranked.p_value else "< 1e-300"
+        p_value = "" if ranked.p_value is None else f"{ranked.p_value:.1g}" if ranked.p_value else "<1e-300"
         star = "*" if ranked.converged is False else ""
         refit = "failed" if ranked.failed else times_noise_text(ranked.refit_misfit) + star
         first = p_value, times_noise_text(ranked.predicted_misfit), refit
@@ -146,7 +146,11 @@ def candidate_table(step: SelectionStep, most: int = 6, detectable: bool = False
             label = f"{ranked.effect}.{name}".rstrip(".")
             add_row(table, label, *(first if place == 0 else ("",) * 3), words, *detects)
     first = "predicted" if near else "over short windows"
-    legend = f"/ noise: remaining error in multiples of the noise: {first}, and refitted on whole runs."
+    legend = "p: probability of such an improvement by chance, corrected for the number of candidates."
+    legend += f" / noise: remaining error in multiples of the noise: {first}, and refitted on whole runs."
+    legend += " expected: the estimate on which p rests; a refit may give another."
+    if detectable:
+        legend += " detects: the smallest value that these runs would show if the model were otherwise right."
     if any(ranked.converged is False for ranked in step.ranking[:most]):
         legend += f" *: this refit {NOT_CONVERGED}; its error and values are uncertain."
     return Group(table, Text(legend, style="dim"))

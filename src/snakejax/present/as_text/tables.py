@@ -82,6 +82,11 @@ def unit_text(estimate: Estimate) -> str:
     return "" if estimate.unit == "-" else f" {estimate.unit}"
 
 
+def with_unit(name: str, unit: str) -> str:
+    """The title of a column, `D [N]`; the name alone for a pure number."""
+    return name if unit in ("-", "1", "") else f"{name} [{unit}]"
+
+
 def plain_table(*columns: str, right: Sequence[str] = ()) -> Table:
     """A table without frame; the columns in `right` are aligned on the right."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))

@@ -41,36 +41,50 @@ def ranking(base: SelectionStep) -> Figure:
         axis.xaxis.set_minor_formatter(NullFormatter())
         axis.grid(axis="y", color="0.9", lw=0.6)
     left.set_yticks(places, [one.effect for one in shown], fontsize="small")
-    figure.legend(*middle.get_legend_handles_labels(), fontsize="small", loc="outside upper center", ncols=3)
     sure = [np.nan if one.p_value is None else -np.log10(max(one.p_value, SMALLEST)) for one in shown]
     right.barh(places, sure, color=TRAIN)
-    right.set(xlabel="-log10 p, corrected for their number")
+    right.set(xlabel="-log10 of the corrected p")
     right.set_xscale("symlog", linthresh=2.0)
-    right.axvline(2.0, color="0.2", lw=1, ls=":")
+    level = base.criteria.significance_level
+    right.axvline(-np.log10(level), color="0.2", lw=1, ls="--", label=f"significance level {level:g}")
+    marks, labels = (
+        [*of_refits, *of_p]
+        for of_refits, of_p in zip(middle.get_legend_handles_labels(), right.get_legend_handles_labels(), strict=True)
+    )
+    figure.legend(marks, labels, fontsize="small", loc="outside upper center", ncols=4)
     return figure
 
 
 def confusability(base: SelectionStep) -> Figure:
-    """Candidates against candidates: a filled square is a pair that these runs cannot distinguish."""
-    names = [one.effect for one in base.ranking]
+    """Candidates against candidates: a filled square is a pair that these runs cannot distinguish.
+
+    Only candidates of such pairs are shown.
+    """
+    every = [one.effect for one in base.ranking]
+    paired = {name for one in base.ranking for name in (one.effect, *one.confusable_with) if one.confusable_with}
+    names = [name for name in every if name in paired]
     table = np.zeros((len(names), len(names)))
-    for row, one in enumerate(base.ranking):
+    for one in base.ranking:
         for other in one.confusable_with:
             if other in names:
-                table[row, names.index(other)] = table[names.index(other), row] = 1.0
+                row, column = names.index(one.effect), names.index(other)
+                table[row, column] = table[column, row] = 1.0
     size = 2.0 + 0.24 * len(names)
     figure = Figure(figsize=(size, size), layout="constrained")
     axis = figure.subplots()
     axis.set_aspect("equal")
     for row, column in np.argwhere(table > 0):
         axis.add_patch(_square(column, row))
-    axis.set(xlim=(-0.5, len(names) - 0.5), ylim=(len(names) - 0.5, -0.5))
+    if not names:
+        axis.text(0.5, 0.5, "all are distinguished", ha="center", va="center", transform=axis.transAxes)
+    end = max(len(names), 1) - 0.5
+    axis.set(xlim=(-0.5, end), ylim=(end, -0.5))
     axis.set_xticks(range(len(names)), names, rotation=90, fontsize="small")
     axis.set_yticks(range(len(names)), names, fontsize="small")
     axis.grid(color="0.92", lw=0.6)
     axis.set_axisbelow(True)
-    axis.plot([-0.5, len(names) - 0.5], [-0.5, len(names) - 0.5], color="0.7", lw=0.6)
-    axis.set_title("not distinguishable by these runs", fontsize="medium")
+    axis.plot([-0.5, end] if names else [], [-0.5, end] if names else [], color="0.7", lw=0.6)
+    axis.set_title("not distinguishable\nby these runs", fontsize="medium")
     return figure
 
 

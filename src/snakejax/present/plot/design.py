@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from ..as_text.errors import POSE_ERRORS, missed_text
+from ..as_text.errors import POSE_ERRORS, missed_text, target_pose
 from ..style import BASE, HELDOUT
 
 BEFORE, AFTER, LIMIT = BASE.colour, HELDOUT, "0.75"
@@ -75,6 +75,10 @@ def _path_and_joints(figure: Figure, grid: Any, result: Mapping[str, Any]) -> No
         path.quiver(x[marked], y[marked], np.cos(heading[marked]), np.sin(heading[marked]), **arrows)
         for axis, name in zip(joints, ("phi", "psi"), strict=True):
             axis.plot(line["t"], line[name], color=colour, lw=1)
+    if (target := target_pose(result["asked"])) is not None:
+        x, y, heading = target
+        path.plot(x, y, "*", color="black", ms=12, label="target", zorder=3)
+        path.quiver(x, y, np.cos(heading), np.sin(heading), color="black", angles="xy", width=0.005, scale=18)
     path.set(xlabel="x [m]", ylabel="y [m]", title=f"{result['case']}: {result['asked'].partition(':')[0]}")
     path.set_aspect("equal", adjustable="datalim")
     path.legend(fontsize="small")

@@ -83,10 +83,11 @@ def residuals(shown: Fit | ModelView) -> Figure:
             axis.plot(scene.times, channel, ".", color=model.look.colour, ms=1.2, rasterized=True)
             for level in (-1.96, 1.96):
                 axis.axhline(level, color="0.3", lw=0.6, ls=":")
-        row[0].set_ylabel("residual [sd]", fontsize="small")
+        for axis, name in zip(row, CHANNELS, strict=True):
+            axis.set_ylabel(f"{name} / noise", fontsize="small")
         row[1].set_title(titled(scene.run, scene.role), fontsize="small")
-    for axis, name in zip(axes[-1], CHANNELS, strict=True):
-        axis.set_xlabel(f"time [s] ({name})")
+    for axis in axes[-1]:
+        axis.set_xlabel("time [s]")
     return figure
 
 

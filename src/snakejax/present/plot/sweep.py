@@ -7,6 +7,7 @@ from matplotlib.figure import Figure
 
 from snakejax.simulation.rayleigh_match import FOLLOWS, Polynomial
 
+from ..as_text.tables import with_unit
 from ..style import HELDOUT, MEASURED, TRAIN
 
 if TYPE_CHECKING:
@@ -60,5 +61,4 @@ def _sweep_map(dataset: "xarray.Dataset", title: str) -> Figure:
 
 
 def _named(dataset: "xarray.Dataset", name: Any) -> str:
-    unit = dataset[name].attrs.get("units", "-")
-    return str(name) if unit == "-" else f"{name} [{unit}]"
+    return with_unit(str(name), dataset[name].attrs.get("units", "-"))

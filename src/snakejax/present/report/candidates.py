@@ -38,7 +38,8 @@ def candidates(result: Json, words: Words, near: Sequence[bool]) -> Section:
         "Each effect is tested beside the model of a step. p is corrected for the number of candidates. The fall of"
         " chi^2 is that of the linear model of the test. An error of windows is that of short windows, each with a"
         " start of its own; it cannot be compared with that of a refit, which is of whole runs. The expected value does"
-        " not depend on the other candidates; a refit may give another.",
+        " not depend on the other candidates; a refit may give another. Detects: the smallest value that these runs"
+        " would show if the model were otherwise right.",
         *(f"The best candidate is {name}: {words(name)}" for name in best),
         *_twins(result["ranking"]),
     )

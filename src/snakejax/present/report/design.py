@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from ..as_json.values import Json
-from ..as_text.errors import POSE_ERRORS, missed_text
+from ..as_text.errors import POSE_ERRORS, missed_text, target_pose
 from ..as_text.tables import number
-from ..style import BASE, HELDOUT, TRAIN, LineStyle
+from ..style import BASE, HELDOUT, MEASURED, TRAIN, LineStyle
 from .chart import EQUAL, Chart, Trace, axes, line, points
 from .page import Cell, Page, Row, Section, cells, plain_sentences, render, table
 
@@ -62,6 +62,8 @@ def _sides(result: Json) -> Iterator[tuple[str, str, LineStyle, Json]]:
 
 def _gait(result: Json) -> Section:
     traces = [line(path["x"], path["y"], label, look) for _, label, look, path in _sides(result)]
+    if (target := target_pose(result["asked"])) is not None:
+        traces.append(points([target[0]], [target[1]], "target position", MEASURED, symbol="star"))
     charts = [Chart("path", "The path, x against y.", tuple(traces), axes("x [m]", "y [m]", **EQUAL), 380)]
     for joint, words in (("phi", "steering"), ("psi", "rotor")):
         drawn = [line(path["t"], path[joint], label, look) for _, label, look, path in _sides(result)]

@@ -8,7 +8,7 @@ import numpy as np
 from snakejax.simulation.rayleigh_match import FOLLOWS
 
 from ..as_json.values import Json
-from ..as_text.tables import number
+from ..as_text.tables import number, with_unit
 from ..style import BASE, HELDOUT, MEASURED, TRAIN, LineStyle
 from .chart import Chart, Trace, axes, line, plain, points
 from .page import Cell, Page, Row, Section, cells, plain_sentences, render, table
@@ -55,15 +55,24 @@ def _sentences(result: Json) -> tuple[str, ...]:
     )
 
 
+def _title(result: Json, name: str) -> str:
+    """A parameter with its unit, `D [N]`; a table of boards has an axis that is no parameter."""
+    return with_unit(name, result["units"].get(name, ""))
+
+
 def _charts(result: Json, values: dict[str, np.ndarray]) -> list[Chart]:
     names = result["axes"]
+    titles = [_title(result, name) for name in names]
     if len(values) != len(names) or len(names) > 2:
         return []
     if len(names) == 2:
         parts: Any = result["end"]
         if "mismatch" in result:
             parts = {"k_s [N s/m]": result["k_s"], "mismatch [%]": _percent(result["mismatch"])}
-        return [_map(k, label, part, values, names) for k, (label, part) in enumerate(parts.items())]
+        return [
+            _map(k, label, part, [values[name] for name in names], titles)
+            for k, (label, part) in enumerate(parts.items())
+        ]
     x = values[names[0]]
     if "mismatch" not in result:
         shown = [
@@ -72,7 +81,8 @@ def _charts(result: Json, values: dict[str, np.ndarray]) -> list[Chart]:
                 result["end"].items(), (TRAIN, HELDOUT, BASE.colour), ("solid", "dash", "dot"), strict=True
             )
         ]
-        return [Chart("ends", "The end pose of each board.", tuple(shown), axes(names[0], "m, rad"))]
+        return [Chart("ends", "The end pose of each board.", tuple(shown), axes(titles[0], "m, rad"))]
+    reach = {"range": _reach(x)}
     traces: list[Trace] = []
     if result["polynomial"] is not None:
         low, high = result["fitted_range"]
@@ -80,12 +90,18 @@ def _charts(result: Json, values: dict[str, np.ndarray]) -> list[Chart]:
         curve = np.polyval(result["polynomial"], fine)
         traces.append(line(fine, curve, "polynomial of order 4", LineStyle(HELDOUT, "solid")))
     traces.append(points(x, _numbers(result["k_s"]), "nearest Rayleigh board", MEASURED))
-    above = Chart("k_s", f"k_s against {names[0]}.", tuple(traces), axes(names[0], "k_s [N s/m]"), 360)
+    above = Chart("k_s", f"k_s against {names[0]}.", tuple(traces), axes(titles[0], "k_s [N s/m]", xaxis=reach), 360)
     mismatch = line(x, _percent(result["mismatch"]), "mismatch", LineStyle(TRAIN, "solid"))
     limit = {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": 100 * FOLLOWS, "y1": 100 * FOLLOWS}
-    layout = axes(names[0], "mismatch [% of the path]", yaxis={"rangemode": "tozero"})
+    layout = axes(titles[0], "mismatch [% of the path]", xaxis=reach, yaxis={"rangemode": "tozero"})
     layout["shapes"] = [{**limit, "line": {"dash": "dot", "width": 2}}]
     return [above, Chart("mismatch", f"The mismatch against {names[0]}.", (mismatch,), layout, 240)]
+
+
+def _reach(x: np.ndarray) -> list[float]:
+    """The range of an axis on which both charts show every board at the same place."""
+    margin = 0.03 * float(np.ptp(x)) or 1.0
+    return [float(x.min()) - margin, float(x.max()) + margin]
 
 
 def _numbers(part: Any) -> np.ndarray:
@@ -96,16 +112,16 @@ def _percent(part: Any) -> np.ndarray:
     return 100 * _numbers(part)
 
 
-def _map(k: int, label: str, part: Any, values: dict[str, np.ndarray], names: Sequence[str]) -> Chart:
+def _map(k: int, label: str, part: Any, values: Sequence[np.ndarray], titles: Sequence[str]) -> Chart:
     trace: Trace = {
         "type": "heatmap",
-        "x": plain(values[names[1]]),
-        "y": plain(values[names[0]]),
+        "x": plain(values[1]),
+        "y": plain(values[0]),
         "z": [plain(row) for row in _numbers(part)],
         "colorscale": "Cividis",
         "colorbar": {"title": {"text": label}, "thickness": 12},
     }
-    return Chart(f"map-{k}", f"{label} over both.", (trace,), axes(names[1], names[0]), 380)
+    return Chart(f"map-{k}", f"{label} over both.", (trace,), axes(titles[1], titles[0]), 380)
 
 
 def _table(result: Json, values: dict[str, np.ndarray]) -> Section:
@@ -113,7 +129,7 @@ def _table(result: Json, values: dict[str, np.ndarray]) -> Section:
     ends = result["end"]
     shape = np.asarray(ends["x_m"], object).shape
     followed = "mismatch" in result
-    heads = [*(f"#{name}" for name in names), *(("#k_s [N s/m]", "#mismatch [%]") if followed else ())]
+    heads = [*(f"#{_title(result, name)}" for name in names), *(("#k_s [N s/m]", "#mismatch [%]") if followed else ())]
     heads += ["#end x [m]", "#end y [m]", "#end heading [rad]"]
     rows = []
     for place in list(np.ndindex(shape))[:SHOWN]:

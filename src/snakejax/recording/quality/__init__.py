@@ -23,3 +23,4 @@ from .noise import estimate_noise as estimate_noise
 from .noise import marker_noise as marker_noise
 from .noise import noise_of as noise_of
 from .noise import noise_sources as noise_sources
+from .steering_unit import farthest_steering as farthest_steering

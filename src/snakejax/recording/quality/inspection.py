@@ -21,6 +21,7 @@ from .heading import flips, half_turns, unflipped
 from .measures import measures
 from .outliers import jumps
 from .plausibility import area, shaking, start, units, up_axis
+from .steering_unit import steering_units
 from .timestamps import backward, stray
 from .windows import judged_together
 
@@ -115,7 +116,9 @@ def inspect(case: Case, as_recorded: bool = False) -> Inspection:
     findings = judged_together(case.runs, findings)
     if isinstance(case.board, Board) and not any(f.severity == "refused" for f in findings):
         # What one of them finds would mislead those after it.
-        findings += frequencies(runs, case.board) or conventions(runs) or measures(runs, case.board)
+        findings += (
+            steering_units(runs) or frequencies(runs, case.board) or conventions(runs) or measures(runs, case.board)
+        )
     if as_recorded:
         return Inspection(case, tuple(f._replace(applied=False) for f in findings), True)
     touched = any(a is not b for a, b in zip(runs, case.runs, strict=True))

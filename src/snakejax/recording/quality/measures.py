@@ -35,6 +35,12 @@ LENGTH = (1e-3, 20.0)
 """Half lengths [m] of what cameras see and a floor bears."""
 
 
+DEGREES = 180 / np.pi
+"""With psi in degrees the rotor seems to have so many times less inertia."""
+NEAR = 1.2
+"""The factor up to which the motion may miss that one."""
+
+
 class _Other(NamedTuple):
     """Other values of measures, `(key, value, given)`, of which any one goes with the motion; how far `off` they are,
     as a factor; what is `left` of the push then, and with what factors `at` its two parts.
@@ -78,15 +84,26 @@ def by_motion(runs: Sequence[Run], board: Board) -> list[Finding]:
     if off < FACTOR:
         return []
     named = [part for one in equal for part in one.measures]
-    what = ", or ".join(f"{key} were {value:.2g}, not {before:.4g}" for key, value, before in named)
+    others = [f"{key} were {_rounded(value, 2)}, not {_rounded(before, 4)}" for key, value, before in named]
+    in_degrees = any(key == "rotor_inertia_kgm2" and _near(before, DEGREES * value) for key, value, before in named)
+    what = ", or ".join(["psi were in degrees"] * in_degrees + others)
     remedy = "measure it again, in kg and m"
     if any(key == "rotor_inertia_kgm2" for key, *_ in named):
-        remedy += "; psi, in rad, counts as well"
+        remedy += ", and check that psi is in rad"
     return [_finding(f"the board moves as if {what}", remedy, off)]
 
 
 def _finding(what: str, remedy: str, off: float) -> Finding:
     return Finding("board_measure", what, remedy, 0.0, 0.0, size=off, severity="refused" if off > UNIT else "doubtful")
+
+
+def _rounded(value: float, digits: int) -> str:
+    """`value` with so many digits, and with a power of ten only where it has more than six."""
+    return f"{float(f'{value:.{digits}g}'):g}"
+
+
+def _near(one: float, other: float) -> bool:
+    return _apart(one, other) < NEAR
 
 
 def _apart(one: float, other: float) -> float:
@@ -101,13 +118,20 @@ def by_range(board: Board) -> list[Finding]:
     density, gyration = m / L**3, total / (m * L**2)
     remedy = "measure it again, in kg and m"
     if not LENGTH[0] <= L <= LENGTH[1]:
-        return [_finding(f"half_length_m is {L:.3g}: no board is {2 * L:.3g} m long", remedy, _beyond(L, LENGTH))]
+        return [
+            _finding(
+                f"half_length_m is {_rounded(L, 3)}: no board is {_rounded(2 * L, 3)} m long",
+                remedy,
+                _beyond(L, LENGTH),
+            )
+        ]
     if not DENSITY[0] <= density <= DENSITY[1]:
         than = "lighter than air" if density < DENSITY[0] else "heavier than solid steel"
-        what = f"mass_kg = {m:.3g} on half_length_m = {L:.3g} is {than}"
+        what = f"mass_kg = {_rounded(m, 3)} on half_length_m = {_rounded(L, 3)} is {than}"
         return [_finding(what, remedy, _beyond(density, DENSITY))]
     if not GYRATION[0] <= gyration <= GYRATION[1]:
-        what = f"inertia_kgm2 = {total:.3g} is {gyration:.2g} times mass half_length^2: it is 0.3 to 3 times for most"
+        times = f"{_rounded(total, 3)} is {_rounded(gyration, 2)} times mass half_length^2"
+        what = f"inertia_kgm2 = {times}: it is 0.3 to 3 times for most"
         return [_finding(what, "measure it again, in kg m^2", _beyond(gyration, GYRATION))]
     return []
 
