@@ -138,6 +138,7 @@ def test_five_moderate_effects_of_an_exact_board_are_found_together() -> None:
     found = explain(case, case.noise, {name: LIBRARY[name]() for name in (*hidden, "clock_offset", "grip_split")})
     assert (found.verdict, set(found.effects)) == ("explained", set(hidden))
     assert found.final.train.misfit < 1.05
+    assert all(band.inside > 0.9 for band in found.bands)
     for name, effect in hidden.items():
         for part, estimate in found.final.estimates_of(name).items():
             assert abs(estimate.value - float(getattr(effect, part))) < 4 * estimate.sd

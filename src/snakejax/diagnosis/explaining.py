@@ -10,8 +10,8 @@ from snakejax.core.errors import FitError
 from snakejax.core.progress import Progress, no_progress
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.dynamics.ports import Effect
-from snakejax.estimation.fit_workspace import fit_workspace
-from snakejax.estimation.goodness_of_fit import consistent_with_noise, noise_band
+from snakejax.estimation.fit_workspace import fit_heldout_starts, fit_workspace
+from snakejax.estimation.goodness_of_fit import consistent_with_noise
 from snakejax.estimation.joint_logs.clocks import STILL, free_clocks
 from snakejax.estimation.joint_logs.fitting import (
     with_aligned_logs,
@@ -26,14 +26,16 @@ from snakejax.recording.run import Case, Noise
 from .diagnosing import BaseDiagnosis, DiagnosisOptions, diagnose_base, start_of
 from .exact_checks import bands_of, odd_runs_beside
 from .explanation import Explanation
+from .inexact.assessment import Assessment
 from .inexact.confidence import AMBIGUOUS, STAND_IN, SURE
-from .inexact.explaining import assess_effects, explanation_of, shares_of, supports
+from .inexact.explaining import assess_effects, explanation_of, predicts_heldout_runs, shares_of, supports
 from .inexact.steps import steps_of
 from .latent_force.missing_force import LatentForce, choose_structure
 from .law.adding import best_laws, predicting_steps
 from .selection.acceptance import accept_structure, heldout_consistent
 from .selection.candidates import CandidateFit, CandidateSet
 from .selection.ranking import rank, significant
+from .selection.refit import refit
 from .selection.steps import SelectionStep
 from .selection.stepwise import stepwise_selection
 from .selection.working_step import WorkingStep, selection_step
@@ -198,13 +200,26 @@ def _with_all_effects_at_once(
     if assessment.inside("train") < criteria.least_inside:
         return None
     steps = (diagnosis.base.record, *steps_of(assessment))
-    if not _lower_error(steps) or (exact and not _only_noise_in_train_runs(steps[-1])):
+    if not _lower_error(steps):
         return None
-    return explanation_of(case, noise, assessment, criteria, steps)
+    if not exact:
+        return explanation_of(case, noise, assessment, steps, predicts_heldout_runs(assessment, criteria))
+    fit_set, fit = _fitted_to_whole_runs(candidate_set, assessment)
+    if not consistent_with_noise(fit.solution):
+        return None
+    heldout = fit_heldout_starts(fit_set.problem, fit.solution.values)
+    explanation = explanation_of(case, noise, assessment, steps, heldout_consistent(fit_set, fit, heldout))
+    return dataclasses.replace(explanation, bands=bands_of(steps[-1].fitted))
 
 
-def _only_noise_in_train_runs(step: SelectionStep) -> bool:
-    return step.train.misfit <= noise_band(step.train.samples, len(step.estimates))[1]
+def _fitted_to_whole_runs(candidate_set: CandidateSet, assessment: Assessment) -> tuple[CandidateSet, CandidateFit]:
+    """All effects of `assessment` fitted to whole train runs, and the candidates with room for their parameters."""
+    effects = (*assessment.base, *assessment.effects)
+    problem = candidate_set.problem
+    width = max(problem.width, len(candidate_set.free(effects)))
+    wide = dataclasses.replace(candidate_set, problem=dataclasses.replace(problem, width=width))
+    values = dict(zip(assessment.search.model.names, assessment.linear.point.values, strict=True))
+    return wide, CandidateFit(effects, refit(wide, effects, problem.values() | values))
 
 
 def _lower_error(steps: Sequence[SelectionStep]) -> bool:

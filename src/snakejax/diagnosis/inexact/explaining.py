@@ -56,14 +56,19 @@ def assess_effects(
     return assess(candidate_set, search, linear, tuple(base), case.having("heldout"), laws)
 
 
+def predicts_heldout_runs(assessment: Assessment, criteria: SelectionCriteria) -> bool:
+    """Whether the held-out runs are as expected with the random force and noise of `assessment`; true without any."""
+    check = assessment.check
+    return check is None or (check.passed and assessment.inside("heldout") >= criteria.least_inside)
+
+
 def explanation_of(
-    case: Case, noise: Noise, assessment: Assessment, criteria: SelectionCriteria, steps: Sequence[SelectionStep]
+    case: Case, noise: Noise, assessment: Assessment, steps: Sequence[SelectionStep], explained: bool
 ) -> Explanation:
-    """The explanation with the effects of `assessment`, which the `steps` from the base on add."""
+    """The explanation with the effects of `assessment`, which the `steps` from the base on add; `explained`: whether
+    held-out runs are as it predicts them."""
     base, final = steps[0], steps[-1]
     claimed = tuple(effect for effect in final.effects if effect not in base.effects)
-    check = assessment.check
-    explained = check is None or (check.passed and assessment.inside("heldout") >= criteria.least_inside)
     verdict = ("explained" if claimed else "adequate") if explained else "unexplained"
     noise_floor = PoseError(
         float(np.hypot(assessment.floor[0], assessment.floor[1])),
