@@ -1,6 +1,7 @@
 """The steps of an explanation whose model is not exact: whole runs simulated with more and more of the effects."""
 
 import dataclasses
+from typing import NamedTuple
 
 import numpy as np
 
@@ -8,7 +9,7 @@ from snakejax.core.parameter import with_parameters
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.dynamics.ports import Delay, Sensor
 from snakejax.estimation.fitted_model import fitted_model
-from snakejax.estimation.problem import Problem
+from snakejax.estimation.problem import Problem, Solution
 
 from ..selection.candidates import CandidateSet
 from ..selection.steps import CandidateScore, SelectionStep
@@ -25,29 +26,61 @@ def steps_of(assessment: Assessment) -> list[SelectionStep]:
     """The steps after the base: the change of structure where there was one, then the effects, the strongest first.
 
     The last step has the values of the assessment. Before it effects are lacking, and beside a random force that stands
-    for them a fit need not lower the error of whole runs: there these are fitted.
+    for them a fit need not lower the error of whole runs: there these are fitted, and again from where the step before
+    ended if they end with a larger error than that step.
     """
     names: list[tuple[str, tuple[str, ...]]] = []
     candidate_set = assessment.candidate_set
     if candidate_set.switched:
         names.append((LATERAL_SLIP_SWITCH, ()))
     names += [(effect, assessment.effects[: k + 1]) for k, effect in enumerate(assessment.effects)]
-    return [_step(assessment, name, effects) for name, effects in names]
+    steps: list[SelectionStep] = []
+    before: _FittedStep | None = None
+    for name, effects in names:
+        fitted = _fitted(assessment, effects, before)
+        before = fitted if fitted.solution.free else None
+        steps.append(_step(assessment, name, effects, fitted))
+    return steps
 
 
-def _step(assessment: Assessment, name: str, effects: tuple[str, ...]) -> SelectionStep:
-    base, candidate_set = assessment.base, assessment.candidate_set
+class _FittedStep(NamedTuple):
+    """A model with some of the effects in whole train runs, at `known` values of all parameters by name."""
+
+    problem: Problem
+    known: dict[str, float]
+    solution: Solution
+    converged: bool
+
+
+def _fitted(assessment: Assessment, effects: tuple[str, ...], before: _FittedStep | None) -> _FittedStep:
+    candidate_set = assessment.candidate_set
     values, converged = assessment.fit_with(effects)
-    known = dict(zip(assessment.search.model.names, values, strict=True))
+    known = dict(zip(assessment.search.model.names, map(float, values), strict=True))
+    free = candidate_set.free([*assessment.base, *effects])
     problem = _problem(candidate_set, known)
-    neutral = candidate_set.problem.values()
-    free = candidate_set.free([*base, *effects])
-    settings = neutral | {n: float(known[n]) for n in free}
     if effects == assessment.effects or len(free) > problem.width:
-        solution = problem.fit(settings, (), candidate_set.train)
-    else:
-        solution = problem.fit(settings, free, candidate_set.train, crawl=CRAWL, most=MOST)
-        values, converged = np.array([solution.values.get(n, v) for n, v in known.items()]), solution.converged
+        settings = candidate_set.problem.values() | {n: known[n] for n in free}
+        return _FittedStep(problem, known, problem.fit(settings, (), candidate_set.train), converged)
+    fitted = _to_whole_runs(candidate_set, known, free)
+    if before is not None and not fitted.solution.misfit < before.solution.misfit:
+        # The step before is a special case of this model: from there the error can only fall.
+        fitted = _to_whole_runs(candidate_set, before.known, free)
+    return fitted
+
+
+def _to_whole_runs(candidate_set: CandidateSet, known: dict[str, float], free: list[str]) -> _FittedStep:
+    """The parameters `free` fitted to whole train runs from the values `known`."""
+    problem = _problem(candidate_set, known)
+    settings = candidate_set.problem.values() | {n: candidate_set.off_zero(n, known[n]) for n in free}
+    solution = problem.fit(settings, free, candidate_set.train, crawl=CRAWL, most=MOST)
+    reached = {n: solution.values.get(n, value) for n, value in known.items()}
+    return _FittedStep(problem, reached, solution, solution.converged)
+
+
+def _step(assessment: Assessment, name: str, effects: tuple[str, ...], fitted_step: _FittedStep) -> SelectionStep:
+    base, candidate_set = assessment.base, assessment.candidate_set
+    problem, known, solution, converged = fitted_step
+    values = np.array(list(known.values()))
     judged = judged_runs(problem, solution, solution.values, candidate_set.train)
     model = problem.fitted(solution).without(*(e for e in candidate_set.candidates if e not in (*base, *effects)))
     best = assessment.wide.with_effects(effects)
