@@ -14,6 +14,7 @@ from snakejax.diagnosis.inexact.subsets import Subsets, choose
 from snakejax.diagnosis.law.grammar import Family, Term
 from snakejax.diagnosis.law.search import ProposedLaw
 from snakejax.diagnosis.selection.criteria import CRITERIA
+from snakejax.dynamics.law import LawParameter
 from snakejax.estimation.discrepancy.kalman import Discrepancy
 from snakejax.estimation.discrepancy.least_squares import Prior
 
@@ -110,6 +111,31 @@ def test_of_laws_that_do_as_well_the_one_that_predicts_runs_left_out_best_is_kep
     got = laws.with_law(none, none, none, search, linear, ())
     assert got is not None and got.name == kept and got.rivals == rivals
     assert laws.with_law(none, none, none, search, one_run, ()) is None
+
+
+@pytest.mark.parametrize(("simpler", "kept"), [(8.0, "simple"), (10.0, "rich")])
+def test_of_laws_that_cannot_be_distinguished_the_one_with_fewer_parameters_is_kept(simpler, kept, monkeypatch) -> None:
+    """`simpler`: by how much the deviance of the law with fewer parameters is larger."""
+    one, other = proposal("rich", "X", ("x", "y"), 1000.0), proposal("simple", "X", ("x",), 1001.0)
+    parts = tuple(LawParameter(name, "N") for name in "abc")
+    rich = one._replace(law=one.law._replace(parameters=parts))
+    simple = other._replace(law=other.law._replace(parameters=parts[:1]))
+
+    def fitted(*given: Any) -> laws.FittedLaw:
+        name = given[-1].law.expression
+        blocks = np.full(3, 80.0) + (simpler / 3 if name == "simple" else 0.0)
+        return laws.FittedLaw(name, None, None, None, blocks)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(laws, "_fitted", fitted)
+    monkeypatch.setattr(laws, "proposed", lambda search, weak: [rich, simple])
+    monkeypatch.setattr(laws, "beside_weaker_force", lambda search, linear: [None])
+    plain = SimpleNamespace(deviance=lambda effects: np.full(3, 100.0))
+    monkeypatch.setattr(laws, "left_out", lambda search, linear: plain)
+    search: Any = SimpleNamespace(progress=lambda event: None, criteria=CRITERIA)
+    linear: Any = SimpleNamespace(gram=np.zeros((3, 1, 1)), point=SimpleNamespace(effects=()))
+    none: Any = None
+    got = laws.with_law(none, none, none, search, linear, ())
+    assert got is not None and got.name == kept
 
 
 @pytest.mark.parametrize(

@@ -78,8 +78,9 @@ def with_law(
 ) -> FittedLaw | None:
     """The model with the law that predicts train runs left out best, or None.
 
-    None where no law predicts them better than `linear` does, each under its own random force, by more than the
-    standard error; or where there is but one run.
+    Of laws that do not differ by `distinct_chi2` from the best, it is the one with the fewest parameters. None where
+    no law predicts them better than `linear` does, each under its own random force, by more than the standard error; or
+    where there is but one run.
     """
     if len(linear.gram) < 2:
         return None
@@ -94,16 +95,13 @@ def with_law(
             fitted.append((one, with_one))
     if not fitted:
         return None
-    proposal, best = min(fitted, key=lambda pair: pair[1].deviance.sum())
+    most = min(with_one.deviance.sum() for _, with_one in fitted) + search.criteria.distinct_chi2
+    as_good = [pair for pair in fitted if pair[1].deviance.sum() < most]
+    proposal, best = min(as_good, key=lambda pair: (len(pair[0].law.parameters), pair[1].deviance.sum()))
     before = left_out(search, linear).deviance(linear.point.effects)
     if not Gain(before - best.deviance, 0.0).predicts:
         return None
-    most = best.deviance.sum() + search.criteria.distinct_chi2
-    rivals = [
-        one.law.expression
-        for one, with_one in fitted
-        if one.subject != proposal.subject and with_one.deviance.sum() < most
-    ]
+    rivals = [one.law.expression for one, _ in as_good if one.subject != proposal.subject]
     return best._replace(rivals=tuple(rivals))
 
 
