@@ -1,6 +1,7 @@
 """Laws beside a random force: how many forms were tried counts, rivals are told, and a word says how sure a law is."""
 
 from collections import OrderedDict
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -48,6 +49,24 @@ def proposal(expression: str, action: str, variables: tuple[str, ...], penalised
     family, none = Family("", action, variables, (Term("a", {}, ((action, expression),)),)), np.zeros(0)
     law = ProposedLaw(expression, (), {}, family, none, 1.0, penalised, none)
     return laws.Proposal(None, law, 1, penalised)  # type: ignore[arg-type]
+
+
+def chooser(monkeypatch, proposals: list[laws.Proposal], fitted: Callable[..., Any]) -> Callable[[int], Any]:
+    """`with_law` of so many runs where the segments give `proposals`, and without a law each run has a deviance of 100;
+    `fitted` stands for the fit of one of them."""
+    monkeypatch.setattr(laws, "_fitted", fitted)
+    monkeypatch.setattr(laws, "proposed", lambda search, weak: proposals)
+    monkeypatch.setattr(laws, "beside_weaker_force", lambda search, linear: [None])
+    plain = SimpleNamespace(deviance=lambda effects: np.full(3, 100.0))
+    monkeypatch.setattr(laws, "left_out", lambda search, linear: plain)
+    search: Any = SimpleNamespace(progress=lambda event: None, criteria=CRITERIA)
+    none: Any = None
+
+    def with_law(runs: int) -> Any:
+        linear: Any = SimpleNamespace(gram=np.zeros((runs, 1, 1)), point=SimpleNamespace(effects=()))
+        return laws.with_law(none, none, none, search, linear, ())
+
+    return with_law
 
 
 def test_each_form_is_proposed_once() -> None:
@@ -99,18 +118,10 @@ def test_of_laws_that_do_as_well_the_one_that_predicts_runs_left_out_best_is_kep
         blocks = deviance * np.array([1.0, 1.01, 0.99])
         return laws.FittedLaw(name, None, None, None, blocks)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(laws, "_fitted", fitted)
-    monkeypatch.setattr(laws, "proposed", lambda search, weak: found)
-    monkeypatch.setattr(laws, "beside_weaker_force", lambda search, linear: [None])
-    plain = SimpleNamespace(deviance=lambda effects: np.full(3, 100.0))
-    monkeypatch.setattr(laws, "left_out", lambda search, linear: plain)
-    search: Any = SimpleNamespace(progress=lambda event: None, criteria=CRITERIA)
-    linear: Any = SimpleNamespace(gram=np.zeros((3, 1, 1)), point=SimpleNamespace(effects=()))
-    one_run: Any = SimpleNamespace(gram=np.zeros((1, 1, 1)))
-    none: Any = None
-    got = laws.with_law(none, none, none, search, linear, ())
+    with_law = chooser(monkeypatch, found, fitted)
+    got = with_law(3)
     assert got is not None and got.name == kept and got.rivals == rivals
-    assert laws.with_law(none, none, none, search, one_run, ()) is None
+    assert with_law(1) is None
 
 
 @pytest.mark.parametrize(("simpler", "kept"), [(8.0, "simple"), (10.0, "rich")])
@@ -126,15 +137,8 @@ def test_of_laws_that_cannot_be_distinguished_the_one_with_fewer_parameters_is_k
         blocks = np.full(3, 80.0) + (simpler / 3 if name == "simple" else 0.0)
         return laws.FittedLaw(name, None, None, None, blocks)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(laws, "_fitted", fitted)
-    monkeypatch.setattr(laws, "proposed", lambda search, weak: [rich, simple])
-    monkeypatch.setattr(laws, "beside_weaker_force", lambda search, linear: [None])
-    plain = SimpleNamespace(deviance=lambda effects: np.full(3, 100.0))
-    monkeypatch.setattr(laws, "left_out", lambda search, linear: plain)
-    search: Any = SimpleNamespace(progress=lambda event: None, criteria=CRITERIA)
-    linear: Any = SimpleNamespace(gram=np.zeros((3, 1, 1)), point=SimpleNamespace(effects=()))
-    none: Any = None
-    got = laws.with_law(none, none, none, search, linear, ())
+    with_law = chooser(monkeypatch, [rich, simple], fitted)
+    got = with_law(3)
     assert got is not None and got.name == kept
 
 

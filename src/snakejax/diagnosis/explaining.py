@@ -10,7 +10,7 @@ from snakejax.core.errors import FitError
 from snakejax.core.progress import Progress, no_progress
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.dynamics.ports import Effect
-from snakejax.estimation.fit_workspace import fit_heldout_starts, fit_workspace
+from snakejax.estimation.fit_workspace import fit_workspace
 from snakejax.estimation.goodness_of_fit import consistent_with_noise
 from snakejax.estimation.joint_logs.clocks import STILL, free_clocks
 from snakejax.estimation.joint_logs.fitting import (
@@ -23,19 +23,17 @@ from snakejax.estimation.joint_logs.log_noise import is_noisy
 from snakejax.estimation.problem import Solution
 from snakejax.recording.run import Case, Noise
 
+from .all_effects_at_once import with_all_effects_at_once
 from .diagnosing import BaseDiagnosis, DiagnosisOptions, diagnose_base, start_of
 from .exact_checks import bands_of, odd_runs_beside
 from .explanation import Explanation
-from .inexact.assessment import Assessment
 from .inexact.confidence import AMBIGUOUS, STAND_IN, SURE
-from .inexact.explaining import assess_effects, explanation_of, predicts_heldout_runs, shares_of, supports
-from .inexact.steps import steps_of
+from .inexact.explaining import shares_of
 from .latent_force.missing_force import LatentForce, choose_structure
 from .law.adding import best_laws, predicting_steps
 from .selection.acceptance import accept_structure, heldout_consistent
 from .selection.candidates import CandidateFit, CandidateSet
 from .selection.ranking import rank, significant
-from .selection.refit import refit
 from .selection.steps import SelectionStep
 from .selection.stepwise import stepwise_selection
 from .selection.working_step import WorkingStep, selection_step
@@ -85,7 +83,7 @@ def explain(
         case = improved
         diagnosis = diagnose_base(case, noise, library, **question)
     if not _one_effect_explains(diagnosis):
-        explanation = _with_all_effects_at_once(case, noise, diagnosis, progress)
+        explanation = with_all_effects_at_once(case, noise, diagnosis, progress)
         if explanation is not None:
             for step in explanation.steps if logged else explanation.steps[1:]:
                 show(step)
@@ -173,63 +171,6 @@ def _with_clock_errors(explanation: Explanation, last: WorkingStep, progress: Pr
     final = dataclasses.replace(explanation.final, estimates=wider.result().estimates)
     case = dataclasses.replace(case, runs=wider.problem.runs)
     return dataclasses.replace(explanation, steps=(*explanation.steps[:-1], final), case=case)
-
-
-def _with_all_effects_at_once(
-    case: Case, noise: Noise, diagnosis: BaseDiagnosis, progress: Progress
-) -> Explanation | None:
-    """The explanation by effects that are chosen together, beside a random force, wandering noise and constants within
-    their priors.
-
-    None where a model with a few effects is exact: a search on whole runs finds those. None where a law is lacking: its
-    force is too large for a random one, errors grow faster than a random force lets them, or the effects do not lower
-    the error.
-    """
-    candidate_set = diagnosis.switched[0] if diagnosis.switched else diagnosis.base.candidate_set
-    if not supports(candidate_set):
-        return None
-    try:
-        assessment = assess_effects(case, noise, candidate_set, diagnosis.base.step.effects, progress)
-    except FitError:
-        return None
-    criteria, exact = candidate_set.criteria, assessment.world.exact
-    if exact and len(assessment.effects) <= criteria.most_effects_at_once:
-        return None
-    if assessment.random_force_share > criteria.largest_random_force:
-        return None
-    if assessment.inside("train") < criteria.least_inside:
-        return None
-    steps = (diagnosis.base.record, *steps_of(assessment))
-    if not _lower_error(steps):
-        return None
-    if not exact:
-        return explanation_of(case, noise, assessment, steps, predicts_heldout_runs(assessment, criteria))
-    fit_set, fit = _fitted_to_whole_runs(candidate_set, assessment)
-    if not consistent_with_noise(fit.solution):
-        return None
-    heldout = fit_heldout_starts(fit_set.problem, fit.solution.values)
-    explanation = explanation_of(case, noise, assessment, steps, heldout_consistent(fit_set, fit, heldout))
-    return dataclasses.replace(explanation, bands=bands_of(steps[-1].fitted))
-
-
-def _fitted_to_whole_runs(candidate_set: CandidateSet, assessment: Assessment) -> tuple[CandidateSet, CandidateFit]:
-    """All effects of `assessment` fitted to whole train runs, and the candidates with room for their parameters."""
-    effects = (*assessment.base, *assessment.effects)
-    problem = candidate_set.problem
-    width = max(problem.width, len(candidate_set.free(effects)))
-    wide = dataclasses.replace(candidate_set, problem=dataclasses.replace(problem, width=width))
-    values = dict(zip(assessment.search.model.names, assessment.linear.point.values, strict=True))
-    return wide, CandidateFit(effects, refit(wide, effects, problem.values() | values))
-
-
-def _lower_error(steps: Sequence[SelectionStep]) -> bool:
-    """Whether the effects of the last step, where it has any, lower the error of whole train runs that the base leaves.
-
-    The likelihood with a random force may prefer effects that do not: they then stand in for a law that the model
-    lacks, and the force takes up what they cannot do.
-    """
-    base, final = steps[0], steps[-1]
-    return set(final.effects) <= set(base.effects) or final.train.misfit < base.train.misfit
 
 
 def _steps_beyond_base(diagnosis: BaseDiagnosis, progress: Progress, show: Show) -> list[WorkingStep]:

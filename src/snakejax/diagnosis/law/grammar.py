@@ -164,13 +164,9 @@ def families(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]
             for action in ACTIONS:
                 if variable in wheel and action.name != "grip":
                     continue
-                terms = [
-                    _term(action, "abc"[k], text, power(unit_of(variable), n))
-                    for k, (text, n) in enumerate(function.parts)
-                ]
                 if action.name == "grip" and function.name == "affine":
                     continue  # A constant part of the grip is that of the tyre.
-                yield Family(function.name, action.name, (variable,), tuple(terms), function.shape)
+                yield _of_one_variable(action, function, variable)
             if variable in WORLD_VARIABLES:
                 yield _world(function, variable)
     for one, other in combinations(ranges, 2):
@@ -191,11 +187,13 @@ def _pushes(accelerations: Sequence[str], ranges: dict[str, Range]) -> Iterator[
         for variable in (name.replace(PUSH_SUFFIX, suffix) for suffix in ("_angle", "_rate")):
             for function in _functions(variable, ranges[variable]) if variable in ranges else ():
                 if function.name not in ("affine", "linear", "threshold"):
-                    terms = [
-                        _term(action, "abc"[k], text, power(unit_of(variable), n))
-                        for k, (text, n) in enumerate(function.parts)
-                    ]
-                    yield Family(function.name, action.name, (variable,), tuple(terms), function.shape)
+                    yield _of_one_variable(action, function, variable)
+
+
+def _of_one_variable(action: Action, function: _Function, variable: str) -> Family:
+    """A function of one variable acts; each of its parts has an amplitude."""
+    terms = [_term(action, "abc"[k], text, power(unit_of(variable), n)) for k, (text, n) in enumerate(function.parts)]
+    return Family(function.name, action.name, (variable,), tuple(terms), function.shape)
 
 
 def _world(function: _Function, variable: str) -> Family:

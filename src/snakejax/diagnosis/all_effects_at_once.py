@@ -1,0 +1,79 @@
+"""The explanation by effects that are chosen together: of boards for which no model is exact, and of exact boards with
+more effects than a search on whole runs adds."""
+
+import dataclasses
+from collections.abc import Sequence
+
+from snakejax.core.errors import FitError
+from snakejax.core.progress import Progress
+from snakejax.estimation.fit_workspace import fit_heldout_starts
+from snakejax.estimation.goodness_of_fit import consistent_with_noise
+from snakejax.recording.run import Case, Noise
+
+from .diagnosing import BaseDiagnosis
+from .exact_checks import bands_of
+from .explanation import Explanation
+from .inexact.assessment import Assessment
+from .inexact.explaining import assess_effects, explanation_of, predicts_heldout_runs, supports
+from .inexact.steps import steps_of
+from .selection.acceptance import heldout_consistent
+from .selection.candidates import CandidateFit, CandidateSet
+from .selection.refit import refit
+from .selection.steps import SelectionStep
+
+
+def with_all_effects_at_once(
+    case: Case, noise: Noise, diagnosis: BaseDiagnosis, progress: Progress
+) -> Explanation | None:
+    """The explanation by effects that are chosen together, beside a random force, wandering noise and constants within
+    their priors.
+
+    None where a model with a few effects is exact: a search on whole runs finds those. None where a law is lacking: its
+    force is too large for a random one, errors grow faster than a random force lets them, or the effects do not lower
+    the error.
+    """
+    candidate_set = diagnosis.switched[0] if diagnosis.switched else diagnosis.base.candidate_set
+    if not supports(candidate_set):
+        return None
+    try:
+        assessment = assess_effects(case, noise, candidate_set, diagnosis.base.step.effects, progress)
+    except FitError:
+        return None
+    criteria, exact = candidate_set.criteria, assessment.world.exact
+    if exact and len(assessment.effects) <= criteria.most_effects_at_once:
+        return None
+    if assessment.random_force_share > criteria.largest_random_force:
+        return None
+    if assessment.inside("train") < criteria.least_inside:
+        return None
+    steps = (diagnosis.base.record, *steps_of(assessment))
+    if not _lower_error(steps):
+        return None
+    if not exact:
+        return explanation_of(case, noise, assessment, steps, predicts_heldout_runs(assessment, criteria))
+    fit_set, fit = _fitted_to_whole_runs(candidate_set, assessment)
+    if not consistent_with_noise(fit.solution):
+        return None
+    heldout = fit_heldout_starts(fit_set.problem, fit.solution.values)
+    explanation = explanation_of(case, noise, assessment, steps, heldout_consistent(fit_set, fit, heldout))
+    return dataclasses.replace(explanation, bands=bands_of(steps[-1].fitted))
+
+
+def _fitted_to_whole_runs(candidate_set: CandidateSet, assessment: Assessment) -> tuple[CandidateSet, CandidateFit]:
+    """All effects of `assessment` fitted to whole train runs, and the candidates with room for their parameters."""
+    effects = (*assessment.base, *assessment.effects)
+    problem = candidate_set.problem
+    width = max(problem.width, len(candidate_set.free(effects)))
+    wide = dataclasses.replace(candidate_set, problem=dataclasses.replace(problem, width=width))
+    values = dict(zip(assessment.search.model.names, assessment.linear.point.values, strict=True))
+    return wide, CandidateFit(effects, refit(wide, effects, problem.values() | values))
+
+
+def _lower_error(steps: Sequence[SelectionStep]) -> bool:
+    """Whether the effects of the last step, where it has any, lower the error of whole train runs that the base leaves.
+
+    The likelihood with a random force may prefer effects that do not: they then stand in for a law that the model
+    lacks, and the force takes up what they cannot do.
+    """
+    base, final = steps[0], steps[-1]
+    return set(final.effects) <= set(base.effects) or final.train.misfit < base.train.misfit
