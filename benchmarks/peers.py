@@ -33,7 +33,7 @@ from scipy.signal import savgol_filter  # noqa: E402
 from sklearn.gaussian_process import GaussianProcessRegressor, kernels  # noqa: E402
 
 from snakejax import Accuracy, Force, Model, Motion, load_case, noise_of  # noqa: E402
-from snakejax.cli.pipeline import Stopwatch, start_jax  # noqa: E402
+from snakejax.commands.cli.pipeline import Stopwatch, start_jax  # noqa: E402
 from snakejax.core.parameter import with_parameters  # noqa: E402
 from snakejax.diagnosis import explain  # noqa: E402
 from snakejax.diagnosis.latent_force.missing_force import estimate_latent_force  # noqa: E402

@@ -15,7 +15,7 @@ from mkdocs.structure.files import File, Files
 from notebook_pages import notebook_pages
 
 import snakejax
-from snakejax.cli.main import parser
+from snakejax.commands.cli.main import parser
 from snakejax.core.parameter import Domain, own_parameters
 from snakejax.dynamics.ports import Effect
 from snakejax.effects import LIBRARY

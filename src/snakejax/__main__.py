@@ -1,6 +1,6 @@
 """`python -m snakejax` is `snakejax`."""
 
-from snakejax.cli import main
+from snakejax.commands.cli import main
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from helpers.folders import ROOT
 
-from snakejax.cli.main import COMMANDS
+from snakejax.commands.cli.main import COMMANDS
 from snakejax.effects import LIBRARY
 
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")

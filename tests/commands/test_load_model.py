@@ -8,7 +8,7 @@ import pytest
 from helpers.folders import DATA
 
 import snakejax as sj
-from snakejax.cli import main
+from snakejax.commands.cli import main
 
 LEVEL = DATA / "level-board"
 GIVEN = ["--set", "B=7.6,C=1.5,D=8.5,E=-0.1", "--start", "0,0,0.3"]

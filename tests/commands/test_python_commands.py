@@ -10,8 +10,8 @@ import pytest
 from helpers.folders import DATA
 
 import snakejax as sj
-from snakejax.cli import main
-from snakejax.cli.main import parser
+from snakejax.commands.cli import main
+from snakejax.commands.cli.main import parser
 from snakejax.effects import GroundSlope
 
 LEVEL = DATA / "level-board"

@@ -7,8 +7,8 @@ from helpers.folders import DATA
 from helpers.studies import study
 from scipy import stats
 
-from snakejax.cli import main
-from snakejax.cli.design import effects_of
+from snakejax.commands.cli import main
+from snakejax.commands.cli.design import effects_of
 from snakejax.core.errors import InputError
 from snakejax.design.discrimination import (
     EffectPair,

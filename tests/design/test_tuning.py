@@ -26,7 +26,7 @@ from snakejax import (
     Tracked,
     simulate,
 )
-from snakejax.cli import main
+from snakejax.commands.cli import main
 from snakejax.core.errors import InputError
 from snakejax.design import joint_log, spline, tune
 from snakejax.design.limits import peaks, slack, within

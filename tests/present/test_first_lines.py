@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from snakejax import Fit, Noise
-from snakejax.cli.simulate import _report as simulated
+from snakejax.commands.cli.simulate import _report as simulated
 from snakejax.diagnosis.explanation import PoseError, Remainder
 from snakejax.diagnosis.latent_force.missing_force import RunForce
 from snakejax.diagnosis.residuals.comparison import ModelScore, compare

@@ -12,8 +12,8 @@ import pytest
 from helpers.made_up_explanation import result, story
 from jsonschema import Draft202012Validator
 
-from snakejax.cli import main
-from snakejax.cli.main import parser
+from snakejax.commands.cli import main
+from snakejax.commands.cli.main import parser
 from snakejax.diagnosis.explanation import PoseError, Remainder, TriedCandidate
 from snakejax.effects import LIBRARY
 from snakejax.estimation.uncertainty import Estimate

@@ -8,7 +8,7 @@ from helpers.exports import PLACES, motion, motive, nexus, table, tracker
 from scipy.spatial.transform import Rotation
 
 from snakejax import load_case, read_track
-from snakejax.cli import main
+from snakejax.commands.cli import main
 from snakejax.recording.readers import read_joint_log
 
 BOARD = "mass_kg=7,rotor_inertia_kgm2=0.0238,wheelset_inertia_kgm2=0.001,half_length_m=0.25"

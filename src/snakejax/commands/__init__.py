@@ -1,4 +1,4 @@
-"""The commands as functions: a case in, a result out, with the options of the command line and their defaults."""
+"""The commands as functions, a case in and a result out, with the options and defaults of the command line (`cli`)."""
 
 import lazy_loader
 

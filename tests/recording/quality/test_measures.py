@@ -9,7 +9,7 @@ import pytest
 from helpers.folders import DATA, beside
 
 from snakejax import Board, Case, Gait, Model, Noise, Pacejka, Run, Sines, Tracked, check, load_case, simulate
-from snakejax.cli.main import main
+from snakejax.commands.cli.main import main
 from snakejax.dynamics.signals import Delayed
 from snakejax.dynamics.tyres import Rayleigh
 from snakejax.recording.quality import inspect

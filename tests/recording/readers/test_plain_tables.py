@@ -5,7 +5,7 @@ import pytest
 from helpers.exports import PLACES, RATE, motion, put, table
 
 from snakejax import InputError, load_case
-from snakejax.cli import main
+from snakejax.commands.cli import main
 from snakejax.recording.readers import FileAnnotations, read_capture, read_track
 
 M = motion()

@@ -5,7 +5,7 @@ import pytest
 from helpers.exports import motion
 
 from snakejax import InputError, load_case
-from snakejax.cli import main
+from snakejax.commands.cli import main
 from snakejax.recording.capture_summary import summary_text
 from snakejax.recording.readers import pose_track, read_capture, read_track
 

@@ -9,7 +9,7 @@ from helpers.folders import DATA
 from scipy.spatial.transform import Rotation
 
 from snakejax import InputError, load_case
-from snakejax.cli import main
+from snakejax.commands.cli import main
 from snakejax.recording.quality.finding import PoseSeries
 from snakejax.recording.quality.inspection import find_defects
 from snakejax.recording.readers import FileAnnotations, read_capture, read_track

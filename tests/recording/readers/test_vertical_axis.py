@@ -6,7 +6,7 @@ from helpers.exports import PLACES, c3d, motion, put, trc, y_up
 from scipy.spatial.transform import Rotation
 
 from snakejax import InputError, load_case
-from snakejax.cli import main
+from snakejax.commands.cli import main
 from snakejax.recording.readers import FileAnnotations, read_capture, read_track
 
 NAMES = [*PLACES]

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 from helpers.folders import DATA
 
-from snakejax.cli import progress as _progress
-from snakejax.cli.pipeline import Outcome, each_case
-from snakejax.cli.progress import ROUTES, progress
+from snakejax.commands.cli import progress as _progress
+from snakejax.commands.cli.pipeline import Outcome, each_case
+from snakejax.commands.cli.progress import ROUTES, progress
 from snakejax.core.progress import Phase, ProgressEvent
 
 pty = pytest.importorskip("pty", reason="Windows has no pseudo-terminals.")
@@ -118,7 +118,7 @@ def test_one_case_alone_has_the_time_left_too(clock, monkeypatch) -> None:
 
 def test_every_phase_of_a_computation_has_its_place_on_a_route() -> None:
     """What the package reports is what the routes wait for, and nothing else."""
-    source = Path(_progress.__file__).parents[1]
+    source = Path(_progress.__file__).parents[2]
     commands = [Path(_progress.__file__).with_name(f"{name}.py") for name in ("compare", "diagnose", "explain", "fit")]
     reporting = [*commands, *(source / "estimation").rglob("*.py"), *(source / "diagnosis").rglob("*.py")]
     reported = {name for file in reporting for name in re.findall(r"\bPhase\.(\w+)", file.read_text())}
@@ -128,7 +128,7 @@ def test_every_phase_of_a_computation_has_its_place_on_a_route() -> None:
 
 
 def test_every_phase_is_reported_somewhere() -> None:
-    files = [file for file in Path(_progress.__file__).parents[1].rglob("*.py") if file.name != "progress.py"]
+    files = [file for file in Path(_progress.__file__).parents[2].rglob("*.py") if file.name != "progress.py"]
     text = "".join(file.read_text() for file in files)
     assert [phase.name for phase in Phase if f"Phase.{phase.name}" not in text] == []
 

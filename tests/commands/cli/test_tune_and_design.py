@@ -9,8 +9,8 @@ import pytest
 from helpers.payload_case import PAYLOAD, TYRE, laden, written
 
 from snakejax import Gait, Model, Sines, Tracked, effects, load_case, prior_information, simulate
-from snakejax.cli import gait_options, main
 from snakejax.commands import gaits as command
+from snakejax.commands.cli import gait_options, main
 from snakejax.commands.named_effects import effect_class
 from snakejax.commands.option_texts import effect_spec
 from snakejax.core.errors import InputError

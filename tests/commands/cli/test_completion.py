@@ -5,7 +5,7 @@ import subprocess
 
 import pytest
 
-from snakejax.cli import main
+from snakejax.commands.cli import main
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="bash is not installed.")

@@ -238,11 +238,12 @@ def _run(options: argparse.Namespace, case: Any) -> Any:
 
 def _prepared(options: argparse.Namespace, subject: Any, axes: "Axes", say: Progress) -> "tuple[Model, Axes]":
     """The model, and the axes with parameters by their full names and coordinates as the user named them."""
-    from snakejax.commands.requested_model import dotted, requested_model, require_given
     from snakejax.dynamics.model import Model
     from snakejax.dynamics.tyres import Bakker
     from snakejax.simulation.parameter_sweep import require_possible
     from snakejax.vehicles.snakeboard.paper_examples import LOADS, Preset, mass_under
+
+    from ..requested_model import dotted, requested_model, require_given
 
     where = "option --table" if options.table else "option --vary"
     loading = [name for name in axes.columns if name in LOADING]

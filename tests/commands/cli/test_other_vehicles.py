@@ -9,8 +9,8 @@ import pytest
 from helpers.vehicle_case import steps, write_case
 
 import snakejax as sj
-from snakejax.cli import main
 from snakejax.commands import predict
+from snakejax.commands.cli import main
 from snakejax.core.parameter import parameters
 from snakejax.dynamics.axle_tyres import FrontRear
 from snakejax.dynamics.model import Model

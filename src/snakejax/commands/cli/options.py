@@ -5,14 +5,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from snakejax.commands.option_texts import EffectSpec as EffectSpec
-from snakejax.commands.option_texts import assignments as assignments
-from snakejax.commands.option_texts import effect_spec as effect_spec
-from snakejax.commands.option_texts import finite as finite
-from snakejax.commands.option_texts import names as names
-from snakejax.commands.option_texts import threshold as threshold
 from snakejax.core.errors import InputError
 from snakejax.dynamics.kinds import MODEL_KINDS, STRUCTURES
+
+from ..option_texts import EffectSpec as EffectSpec
+from ..option_texts import assignments as assignments
+from ..option_texts import effect_spec as effect_spec
+from ..option_texts import finite as finite
+from ..option_texts import names as names
+from ..option_texts import threshold as threshold
 
 
 class Formatter(argparse.RawDescriptionHelpFormatter):

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 def fitted(options: argparse.Namespace, case: "Case", say: Progress) -> "tuple[Fit, Noise]":
     """The fit of `case` with the model of the options, and the noise that scales its residuals."""
-    from snakejax.commands.fitting import fit_case
+    from ..fitting import fit_case
 
     return fit_case(case, {**model_options(options), "progress": say})
 

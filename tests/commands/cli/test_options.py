@@ -2,7 +2,7 @@
 
 import pytest
 
-from snakejax.cli.options import varied
+from snakejax.commands.cli.options import varied
 from snakejax.core.errors import InputError
 
 

@@ -7,8 +7,8 @@ import re
 import pytest
 from helpers.folders import DATA
 
-from snakejax.cli import main
-from snakejax.cli.main import COMMANDS, parser
+from snakejax.commands.cli import main
+from snakejax.commands.cli.main import COMMANDS, parser
 
 LEVEL = str(DATA / "level-board")
 

@@ -74,8 +74,9 @@ def kept_fits(options: argparse.Namespace, case: Any, question: Mapping[str, Any
 
 def plan(options: argparse.Namespace, case: Any) -> Outcome:
     """What would be tried on one case."""
-    from snakejax.commands.diagnosing import plan_case
     from snakejax.present.as_text.plan import plan_text
+
+    from ..diagnosing import plan_case
 
     made = plan_case(case, explain_options(options, no_progress))
     return Outcome(made._asdict(), plan_text(made), name="plan")
@@ -85,7 +86,6 @@ def work(options: argparse.Namespace, case: Any, say: Progress) -> Outcome:
     """Explain one case."""
     if options.plan:
         return plan(options, case)
-    from snakejax.commands.diagnosing import explain_case
     from snakejax.core.files import write_whole
     from snakejax.diagnosis.latent_force.template import effect_template
     from snakejax.diagnosis.law.source import law_source
@@ -96,6 +96,8 @@ def work(options: argparse.Namespace, case: Any, say: Progress) -> Outcome:
     from snakejax.present.as_text.explanation import explanation_text
     from snakejax.present.report import explanation_page
     from snakejax.present.views import views_of_steps
+
+    from ..diagnosing import explain_case
 
     clock = Stopwatch()
     question = explain_options(options, say)

@@ -157,8 +157,9 @@ def _of_preset(options: argparse.Namespace, subject: Any) -> Simulation:
     import jax.numpy as jnp
     import numpy as np
 
-    from snakejax.commands.requested_model import requested_model, require_given
     from snakejax.recording.run import Run
+
+    from ..requested_model import requested_model, require_given
 
     model_request = model_options(options)
     requested = requested_model(subject, model_request)
@@ -169,11 +170,12 @@ def _of_preset(options: argparse.Namespace, subject: Any) -> Simulation:
 
 def _of_case(options: argparse.Namespace, case: Any, say: Progress) -> Simulation:
     """The runs of `case` under the model of the options, or under one that is fitted here."""
-    from snakejax.commands.requested_model import requested_model, require_given
     from snakejax.estimation.goodness_of_fit import run_scores
     from snakejax.estimation.problem import Problem
     from snakejax.estimation.replay import fitted_starts, starts_of
     from snakejax.recording.quality import noise_of
+
+    from ..requested_model import requested_model, require_given
 
     pose = start_pose(options.start)
     model_request = model_options(options)

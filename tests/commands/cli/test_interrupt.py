@@ -12,14 +12,14 @@ import time
 import pytest
 from helpers.folders import DATA
 
-from snakejax.cli import main
-from snakejax.cli.interrupt import AGAIN, PersistentInterrupt
+from snakejax.commands.cli import main
+from snakejax.commands.cli.interrupt import AGAIN, PersistentInterrupt
 
 # A job in the background of a script ignores Ctrl-C, and so would what it starts.
 _INTERRUPTIBLE = """
 import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)
-from snakejax.cli import main
+from snakejax.commands.cli import main
 print("started", file=sys.stderr, flush=True)
 sys.exit(main())
 """
@@ -85,7 +85,7 @@ def test_the_command_reports_an_interrupt_that_became_another_error(monkeypatch,
 
     heard = signal.getsignal(signal.SIGINT)
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    monkeypatch.setattr("snakejax.cli.check.run", broken)
+    monkeypatch.setattr("snakejax.commands.cli.check.run", broken)
     try:
         assert main(["check", str(DATA / "level-board")]) == 130
     finally:

@@ -12,7 +12,7 @@ from helpers.folders import DATA
 
 _LOGGED = """
 import sys
-from snakejax.cli import main
+from snakejax.commands.cli import main
 from snakejax.estimation import fit_journal
 written = fit_journal.write_whole
 

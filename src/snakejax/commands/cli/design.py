@@ -91,12 +91,13 @@ def effects_of(text: str) -> tuple[tuple[str, str] | None, dict[str, float]]:
 
 def work(options: argparse.Namespace, case: Any, request: GaitRequest, say: Progress) -> Outcome:
     """Design the next run of one case."""
-    from snakejax.commands.gaits import gaits_of
     from snakejax.design.fisher_information import prior_information, require_strengths
     from snakejax.design.limits import Limits, reached_by
     from snakejax.design.rollouts import Controller
     from snakejax.present.as_json.provenance import heading_json, provenance_json
     from snakejax.vehicles.snakeboard.paper_examples import Preset
+
+    from ..gaits import gaits_of
 
     effects, strengths = effects_of(options.objective)
     if isinstance(case, Preset):
@@ -181,9 +182,10 @@ def candidates(
     An effect of the pair is a candidate whose given values are fixed; any other belongs to the fitted model.
     **Raises:** `InputError` where an effect is unknown, given twice, or has no free parameter.
     """
-    from snakejax.commands.named_effects import built, effect_class
     from snakejax.core.parameter import parameters
     from snakejax.effects import library
+
+    from ..named_effects import built, effect_class
 
     built_in = library(vehicle)
     given_texts = [*(options.with_ or ()), *(getattr(options, "effect", None) or ())]

@@ -38,11 +38,12 @@ def run(options: argparse.Namespace) -> int:
 
 def work(options: argparse.Namespace, case: Any, times: tuple[list[float], float], say: Progress) -> Outcome:
     """Predict in one case."""
-    from snakejax.commands.predicting import predict
     from snakejax.present import plot
     from snakejax.present.as_json.prediction import prediction_json
     from snakejax.present.as_json.provenance import provenance_json
     from snakejax.present.as_text.prediction import prediction_report
+
+    from ..predicting import predict
 
     clock = Stopwatch()
     horizons, lead = times

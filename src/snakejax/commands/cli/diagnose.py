@@ -47,7 +47,6 @@ def run(options: argparse.Namespace) -> int:
 
 def work(options: argparse.Namespace, case: Any, say: Progress) -> Outcome:
     """Diagnose one case."""
-    from snakejax.commands.diagnosing import diagnose_case
     from snakejax.core.files import write_whole
     from snakejax.present import plot
     from snakejax.present.as_json.explanation import diagnosis_json
@@ -55,6 +54,8 @@ def work(options: argparse.Namespace, case: Any, say: Progress) -> Outcome:
     from snakejax.present.as_json.provenance import provenance_json
     from snakejax.present.as_text.explanation import diagnosis_text
     from snakejax.present.report import diagnosis_page
+
+    from ..diagnosing import diagnose_case
 
     clock = Stopwatch()
     diagnosis = diagnose_case(case, explain_options(options, say))

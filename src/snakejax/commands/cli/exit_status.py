@@ -4,8 +4,9 @@ import os
 import sys
 import traceback
 
-from snakejax.commands.user_code import place_in_user_code, user_files
 from snakejax.core.errors import at_line
+
+from ..user_code import place_in_user_code, user_files
 
 DONE, FAILED, WRONG, INTERRUPTED = 0, 1, 2, 130
 

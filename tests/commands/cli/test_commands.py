@@ -18,8 +18,8 @@ from helpers.folders import DATA
 from rich.console import Console
 
 import snakejax
-from snakejax.cli import main
-from snakejax.cli.main import parser, prepared
+from snakejax.commands.cli import main
+from snakejax.commands.cli.main import parser, prepared
 from snakejax.effects import LIBRARY
 from snakejax.estimation.goodness_of_fit import RunScore
 from snakejax.present.as_json.saved import saved_fit
@@ -183,7 +183,7 @@ def test_the_examples_in_the_help_can_be_parsed(say) -> None:
 
 
 def test_help_does_not_wait_for_jax() -> None:
-    script = "import sys; from snakejax.cli import main; main(['--help']); assert 'jax' not in sys.modules"
+    script = "import sys; from snakejax.commands.cli import main; main(['--help']); assert 'jax' not in sys.modules"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
 
@@ -507,7 +507,7 @@ def test_what_is_not_there_to_be_varied_is_told_before_the_fit(say, monkeypatch)
     def never(*_):
         raise AssertionError("nothing was to be fitted")
 
-    monkeypatch.setattr("snakejax.cli.sweep.fitted", never)
+    monkeypatch.setattr("snakejax.commands.cli.sweep.fitted", never)
     said = say("sweep", LEVEL, "--vary", "massive=1:2:3")
     assert said.status == 2 and said.err.startswith("snakejax: error: No parameter is called `massive`, option --vary:")
 

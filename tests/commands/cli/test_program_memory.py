@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from helpers.folders import DATA
 
-from snakejax.cli import explain, main, pipeline
-from snakejax.cli.pipeline import Outcome
+from snakejax.commands.cli import explain, main, pipeline
+from snakejax.commands.cli.pipeline import Outcome
 from snakejax.core.progress import Progress
 
 CASES = [str(DATA / name) for name in ("level-board", "spring-board", "tilted-floor")]

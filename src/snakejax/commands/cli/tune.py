@@ -58,11 +58,12 @@ def work(options: argparse.Namespace, subject: Any, request: GaitRequest, say: P
         from .design import work as design
 
         return design(options, subject, request, say)
-    from snakejax.commands.gaits import objective_of, tune_subject
     from snakejax.present.as_json.design import tuned_json
     from snakejax.present.as_json.provenance import heading_json, provenance_json
     from snakejax.present.as_text.design import report
     from snakejax.vehicles.snakeboard.paper_examples import Preset
+
+    from ..gaits import objective_of, tune_subject
 
     clock = Stopwatch()
     payload, with_payload = carried(request.payload, subject)
