@@ -51,22 +51,31 @@ def proposal(expression: str, action: str, variables: tuple[str, ...], penalised
     return laws.Proposal(None, law, 1, penalised)  # type: ignore[arg-type]
 
 
+ERRORS = np.full(3, 10.0)
+"""Mean square errors of whole runs left out without a law."""
+
+
+def fitted_law(name: str, deviance: np.ndarray, mean_square: np.ndarray = ERRORS / 2) -> laws.FittedLaw:
+    none: Any = None
+    return laws.FittedLaw(name, none, none, none, deviance, mean_square)
+
+
 def chooser(monkeypatch, proposals: list[laws.Proposal], fitted: Callable[..., Any]) -> Callable[[int], Any]:
-    """`with_law` of so many runs where the segments give `proposals`, and without a law each run has a deviance of 100;
-    `fitted` stands for the fit of one of them."""
+    """`choose_law` of so many runs where the segments give `proposals`, and without a law each run has a deviance of
+    100; `fitted` stands for the fit of one of them."""
     monkeypatch.setattr(laws, "_fitted", fitted)
     monkeypatch.setattr(laws, "proposed", lambda search, weak: proposals)
     monkeypatch.setattr(laws, "beside_weaker_force", lambda search, linear: [None])
-    plain = SimpleNamespace(deviance=lambda effects: np.full(3, 100.0))
+    plain = SimpleNamespace(deviance=lambda effects: np.full(3, 100.0), mean_square=lambda effects: ERRORS)
     monkeypatch.setattr(laws, "left_out", lambda search, linear: plain)
     search: Any = SimpleNamespace(progress=lambda event: None, criteria=CRITERIA)
     none: Any = None
 
-    def with_law(runs: int) -> Any:
+    def choose_law(runs: int) -> Any:
         linear: Any = SimpleNamespace(gram=np.zeros((runs, 1, 1)), point=SimpleNamespace(effects=()))
-        return laws.with_law(none, none, none, search, linear, ())
+        return laws.choose_law(none, none, none, search, linear, ())
 
-    return with_law
+    return choose_law
 
 
 def test_each_form_is_proposed_once() -> None:
@@ -116,12 +125,36 @@ def test_of_laws_that_do_as_well_the_one_that_predicts_runs_left_out_best_is_kep
         if deviance is None:
             return None
         blocks = deviance * np.array([1.0, 1.01, 0.99])
-        return laws.FittedLaw(name, None, None, None, blocks)  # type: ignore[arg-type]
+        return fitted_law(name, blocks)
 
-    with_law = chooser(monkeypatch, found, fitted)
-    got = with_law(3)
+    choose_law = chooser(monkeypatch, found, fitted)
+    got = choose_law(3).law
     assert got is not None and got.name == kept and got.rivals == rivals
-    assert with_law(1) is None
+    assert choose_law(1) == laws.LawChoice()
+
+
+@pytest.mark.parametrize(
+    ("after", "subject", "kept"),
+    [
+        ([4.0, 4.0, 4.0], "y", True),
+        ([2.0, 9.9, 7.0], "y", True),
+        ([4.0, 4.0, 25.0], "y", False),  # one run would be predicted much worse
+        ([9.0, 9.9, 11.0], "y", False),  # hardly any better
+        ([4.0, 4.0, 25.0], "x", True),  # no other variable does as well
+    ],
+)
+def test_of_laws_of_other_variables_that_do_as_well_one_is_kept_only_where_it_predicts_whole_runs(
+    after, subject, kept, monkeypatch
+) -> None:
+    """`after`: the mean square errors of whole runs left out with the first law, 10 each without."""
+
+    def fitted(*given: Any) -> laws.FittedLaw:
+        return fitted_law(given[-1].law.expression, np.full(3, 80.0), np.array(after))
+
+    proposals = [proposal("first", "X", ("x",), 1000.0), proposal("second", "X", (subject,), 1001.0)]
+    choice = chooser(monkeypatch, proposals, fitted)(3)
+    assert (choice.law is not None) == kept
+    assert choice.undecided == (() if kept else ("first", "second"))
 
 
 @pytest.mark.parametrize(("simpler", "kept"), [(8.0, "simple"), (10.0, "rich")])
@@ -135,10 +168,10 @@ def test_of_laws_that_cannot_be_distinguished_the_one_with_fewer_parameters_is_k
     def fitted(*given: Any) -> laws.FittedLaw:
         name = given[-1].law.expression
         blocks = np.full(3, 80.0) + (simpler / 3 if name == "simple" else 0.0)
-        return laws.FittedLaw(name, None, None, None, blocks)  # type: ignore[arg-type]
+        return fitted_law(name, blocks)
 
-    with_law = chooser(monkeypatch, [rich, simple], fitted)
-    got = with_law(3)
+    choose_law = chooser(monkeypatch, [rich, simple], fitted)
+    got = choose_law(3).law
     assert got is not None and got.name == kept
 
 

@@ -215,6 +215,9 @@ def test_what_remains_says_with_what_it_goes() -> None:
     text = joined(shown(explanation_text(found)))
     assert "leaves 3.20 mm and 4.50 mrad above that" in text
     assert "a share goes with rotor_rate (31%) and world_position (2%)" in text
+    assert "one of these laws" not in text
+    undecided = dataclasses.replace(found, remainder=rest._replace(laws=("east = b * x", "east = b * y")))
+    assert "one of these laws: east = b * x; or east = b * y." in joined(shown(explanation_text(undecided)))
     alone = dataclasses.replace(found, remainder=rest._replace(depends_on=()))
     assert "depend on no variable (5%)" in joined(shown(explanation_text(alone)))
 

@@ -116,7 +116,7 @@ CERTAIN = {
     "share": {"ground_slope": 0.9},
     "explained_share": 0.95,
     "floor": PoseError(4e-4, 2.5e-3, "cameras"),
-    "remainder": Remainder(1e-3, 4e-3, (("speed", 0.4),)),
+    "remainder": Remainder(1e-3, 4e-3, (("speed", 0.4),), ("east = b * x", "east = b * y")),
     "constants": {"board.mass": Estimate(7.0, 0.05, "kg", True)},
     "candidates": (TriedCandidate(1, "ground_slope", 0.9, 1e-9, 1.2, True, "it explains most"),),
 }
@@ -128,6 +128,7 @@ def test_an_explanation_of_any_end_follows_the_schema(parts) -> None:
     assert wrong("explain", made) == []
     if parts is CERTAIN:
         assert made["final"]["remainder"]["depends_on"] == [{"variable": "speed", "share": 0.4}]
+        assert made["final"]["remainder"]["laws"] == ["east = b * x", "east = b * y"]
         assert made["candidates"][0]["why"] == "it explains most"
 
 

@@ -73,11 +73,15 @@ def run_bands(runs: Sequence[Run], residuals: Sequence[np.ndarray], sds: Sequenc
 
 
 class Remainder(NamedTuple):
-    """The root mean square error above the floor that the final model leaves, and the shares of variables in it."""
+    """The root mean square error above the floor that the final model leaves, and the shares of variables in it.
+
+    `laws`: formulas of forces that would explain a part of it, among which these runs cannot choose.
+    """
 
     position_m: float
     heading_rad: float
     depends_on: tuple[tuple[str, float], ...] = ()
+    laws: tuple[str, ...] = ()
 
     @staticmethod
     def above(floor: PoseError, position_m: float, heading_rad: float) -> "Remainder":

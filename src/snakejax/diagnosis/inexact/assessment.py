@@ -29,7 +29,8 @@ class Assessment(NamedTuple):
     `base`: effects that were in the model from the start; `effects`, the strongest first; `wide`: the problem under the
     discrepancy of intervals (`interval_force`); `confidence` of each effect; `predicted`: runs left out; `world`: what
     else is there; `check` of the held-out runs; `floor` (3,) [m, m, rad]: what vehicle and cameras leave of whole runs;
-    `bands` of all runs; `odd_runs` among the train runs; `candidate_set`: that of the search.
+    `bands` of all runs; `odd_runs` among the train runs; `candidate_set`: that of the search;
+    `undecided_laws`: formulas of laws among which the runs cannot choose, so that none of them is an effect.
     """
 
     search: Search
@@ -45,6 +46,7 @@ class Assessment(NamedTuple):
     bands: tuple[RunBand, ...]
     odd_runs: tuple[OddRun, ...]
     candidate_set: CandidateSet
+    undecided_laws: tuple[str, ...] = ()
 
     def inside(self, role: str) -> float:
         """The mean share of the samples of the runs of `role` inside the bands of their predictions; 1 without any."""
@@ -89,9 +91,11 @@ def assess(
     base: tuple[str, ...],
     heldout: Sequence[Run],
     laws: Mapping[str, tuple[str, ...]],
+    undecided: tuple[str, ...] = (),
 ) -> Assessment:
     """What is reported about the point of `linear`, judged by the `heldout` runs; `base`: effects always in the model;
-    `laws`: those of its effects that are laws, with other laws that do as well."""
+    `laws`: those of its effects that are laws, with other laws that do as well; `undecided`: laws that are
+    not among its effects, because these runs cannot choose."""
     criteria, scales = search.criteria, search.scales
     evidence = world(search, linear)
     wide = linear.point.discrepancy
@@ -114,7 +118,7 @@ def assess(
     floor = np.sqrt((open_loop(linear.data, own).rms_sd ** 2).mean(axis=0))
     odd = _odd_runs(search, linear, problem, gram)
     results = (problem, sure, predicted, evidence, check, floor, predictions, odd)
-    return Assessment(search, linear, base, effects, *results, candidate_set)
+    return Assessment(search, linear, base, effects, *results, candidate_set, undecided)
 
 
 def _odd_runs(search: Search, linear: Linear, problem: Subsets, gram: np.ndarray) -> tuple[OddRun, ...]:

@@ -19,7 +19,7 @@ from ..selection.steps import SelectionStep
 from .assessment import Assessment, assess
 from .candidate_model import candidate_model, movable_parameters
 from .evidence import world
-from .laws import with_law
+from .laws import LawChoice, choose_law
 from .left_out import with_predicting_effects
 from .revision import search_effects
 from .search import Search
@@ -48,12 +48,14 @@ def assess_effects(
     priors = candidate_model(model, candidate_set.tyre, candidate_set.candidates, base, scales, case.constant_sd)
     search = Search(segments, priors, scales, candidate_set.criteria, progress)
     linear = with_predicting_effects(search, search_effects(search))
+    choice = LawChoice()
+    if world(search, linear).has_force:
+        choice = choose_law(case, noise, candidate_set, search, linear, base)
     laws: dict[str, tuple[str, ...]] = {}
-    law = with_law(case, noise, candidate_set, search, linear, base) if world(search, linear).has_force else None
-    if law is not None:
-        candidate_set, search, linear = law.candidate_set, law.search, law.linear
-        laws = {law.name: law.rivals}
-    return assess(candidate_set, search, linear, tuple(base), case.having("heldout"), laws)
+    if choice.law is not None:
+        candidate_set, search, linear = choice.law.candidate_set, choice.law.search, choice.law.linear
+        laws = {choice.law.name: choice.law.rivals}
+    return assess(candidate_set, search, linear, tuple(base), case.having("heldout"), laws, choice.undecided)
 
 
 def predicts_heldout_runs(assessment: Assessment, criteria: SelectionCriteria) -> bool:
@@ -89,7 +91,7 @@ def explanation_of(
         share=share,
         explained_share=explained_share,
         floor=noise_floor,
-        remainder=_remainder(final, noise_floor),
+        remainder=_remainder(final, noise_floor, assessment.undecided_laws),
         candidates=_tried(assessment, steps),
         constants=_constants(final),
         bands=assessment.bands,
@@ -113,7 +115,7 @@ def shares_of_errors(steps: Sequence[SelectionStep], errors: Sequence[float]) ->
     return share, (errors[0] - errors[-1]) / errors[0]
 
 
-def _remainder(final: SelectionStep, floor: PoseError) -> Remainder:
+def _remainder(final: SelectionStep, floor: PoseError, laws: tuple[str, ...]) -> Remainder:
     """What the final model leaves of unseen runs above the floor, in squares, and on what it depends in train runs."""
     judged = final.heldout or final.train
     tracks = [replay.track for replay in replay_runs(final.fitted) if replay.role == "train"]
@@ -122,7 +124,7 @@ def _remainder(final: SelectionStep, floor: PoseError) -> Remainder:
         variable = general_name(share.variable)
         shares[variable] = max(share.share, shares.get(variable, 0.0))
     left = Remainder.above(floor, judged.position_m, judged.heading_rad)
-    return left._replace(depends_on=tuple(sorted(shares.items(), key=lambda pair: -pair[1])))
+    return left._replace(depends_on=tuple(sorted(shares.items(), key=lambda pair: -pair[1])), laws=laws)
 
 
 def _constants(final: SelectionStep) -> dict[str, Estimate]:

@@ -62,7 +62,8 @@ class FittedLaw(NamedTuple):
     """The law `name` in the model at `linear`, whose candidates `candidate_set` and `search` hold.
 
     `deviance` (N,): -2 log density of train runs left out, block by block, under the noise and the random force beside
-    the law; `rivals`: other laws, of another action or of other variables, that do as well: other motions would tell.
+    the law; `mean_square` (R,): the error of whole runs left out; `rivals`: other laws, of another action or of other
+    variables, that do as well: other motions would tell.
     """
 
     name: str
@@ -70,20 +71,30 @@ class FittedLaw(NamedTuple):
     search: Search
     linear: Linear
     deviance: np.ndarray
+    mean_square: np.ndarray
     rivals: tuple[str, ...] = ()
 
 
-def with_law(
-    case: Case, noise: Noise, candidate_set: CandidateSet, search: Search, linear: Linear, base: Sequence[str]
-) -> FittedLaw | None:
-    """The model with the law that predicts train runs left out best, or None.
+class LawChoice(NamedTuple):
+    """The `law` that is kept, or None; then `undecided` are the formulas of those among which these runs cannot
+    choose."""
 
-    Of laws that do not differ by `distinct_chi2` from the best, it is the one with the fewest parameters. None where
-    no law predicts them better than `linear` does, each under its own random force, by more than the standard error; or
-    where there is but one run.
+    law: FittedLaw | None = None
+    undecided: tuple[str, ...] = ()
+
+
+def choose_law(
+    case: Case, noise: Noise, candidate_set: CandidateSet, search: Search, linear: Linear, base: Sequence[str]
+) -> LawChoice:
+    """The law that predicts train runs left out best.
+
+    Of laws that do not differ by `distinct_chi2` from the best, it is the one with the fewest parameters. There is none
+    where no law predicts them better than `linear` does, each under its own random force, by more than the standard
+    error; or where there is but one run. Where laws of other variables do as well, it is not known which is right, and
+    a wrong one may do harm in other motions: there it must lower the error of whole runs left out too.
     """
     if len(linear.gram) < 2:
-        return None
+        return LawChoice()
     search.progress(ProgressEvent(Phase.LAW_SEARCH))
     proposals = [one for weak in beside_weaker_force(search, linear) for one in proposed(search, weak)]
     ordered = distinct(proposals)
@@ -94,15 +105,17 @@ def with_law(
         if with_one is not None:
             fitted.append((one, with_one))
     if not fitted:
-        return None
+        return LawChoice()
     most = min(with_one.deviance.sum() for _, with_one in fitted) + search.criteria.distinct_chi2
     as_good = [pair for pair in fitted if pair[1].deviance.sum() < most]
     proposal, best = min(as_good, key=lambda pair: (len(pair[0].law.parameters), pair[1].deviance.sum()))
-    before = left_out(search, linear).deviance(linear.point.effects)
-    if not Gain(before - best.deviance, 0.0).predicts:
-        return None
-    rivals = [one.law.expression for one, _ in as_good if one.subject != proposal.subject]
-    return best._replace(rivals=tuple(rivals))
+    before, effects = left_out(search, linear), linear.point.effects
+    if not Gain(before.deviance(effects) - best.deviance, 0.0).predicts:
+        return LawChoice()
+    rivals = tuple(one.law.expression for one, _ in as_good if one.subject != proposal.subject)
+    if rivals and not Gain(before.mean_square(effects) - best.mean_square, 0.0).predicts:
+        return LawChoice(undecided=(proposal.law.expression, *rivals))
+    return LawChoice(best._replace(rivals=rivals))
 
 
 def near(ordered: Sequence[Proposal], distinct_chi2: float) -> list[Proposal]:
@@ -124,7 +137,8 @@ def _fitted(
     effects = linear.point.effects
     if name not in effects:
         return None
-    return FittedLaw(name, own_set, own, linear, left_out(own, linear).deviance(effects))
+    without = left_out(own, linear)
+    return FittedLaw(name, own_set, own, linear, without.deviance(effects), without.mean_square(effects))
 
 
 def distinct(proposals: Sequence[Proposal]) -> list[Proposal]:

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from snakejax.estimation.discrepancy.kalman import block_gram_matrices, gram_matrices
 from snakejax.estimation.discrepancy.least_squares import quadratic
+from snakejax.estimation.discrepancy.open_loop import open_loop
 
 from .search import FINE, Linear, Search
 from .subsets import left_out_deviances, left_out_errors
@@ -57,6 +58,18 @@ class LeftOut(NamedTuple):
             step = self.linear.subsets.with_effects(effects).step
             return np.array([quadratic(gram, step) for gram in self.judged])
         return left_out_errors(self.linear.subsets, self.linear.gram, self.judged, effects)
+
+    def mean_square(self, effects: Iterable[str]) -> Float[np.ndarray, " R"]:
+        """The mean square error of each run with `effects`, in units of the noise, where it is predicted from its start
+        and no measurement corrects it."""
+        point, subsets, gram = self.linear.point, self.linear.subsets, self.linear.gram
+        free = subsets.with_effects(effects).free
+        others = [subsets.gram - one for one in gram] if len(gram) > 1 else [subsets.gram]
+        steps = np.array([subsets.with_effects(effects, other).step[list(free)] for other in others])
+        residual, _ = open_loop(self.linear.data, point.discrepancy, free).predicted(steps)
+        noise = np.hypot(point.discrepancy.white, point.discrepancy.wander)
+        samples = np.maximum(np.isfinite(residual).sum(axis=(1, 2)), 1)
+        return np.nansum((residual / noise) ** 2, axis=(1, 2)) / samples
 
     def gain(self, effects: Iterable[str], effect: str) -> Gain:
         """What `effect` is worth beside the others of `effects`: the fall of -2 log density of each block."""

@@ -92,11 +92,12 @@ def _error_json(error: PoseError | None) -> Json | None:
 
 
 def _remainder_json(rest: Remainder | None) -> Json | None:
-    """The error above the floor, and the share of each variable in it."""
+    """The error above the floor, the share of each variable in it, and laws among which these runs cannot choose."""
     if rest is None:
         return None
     depends_on = [{"variable": variable, "share": share} for variable, share in rest.depends_on]
-    return {"position_m": rest.position_m, "heading_rad": rest.heading_rad, "depends_on": depends_on}
+    errors = {"position_m": rest.position_m, "heading_rad": rest.heading_rad}
+    return errors | {"depends_on": depends_on, "laws": list(rest.laws)}
 
 
 def unexplained_json(explanation: Explanation) -> Json:

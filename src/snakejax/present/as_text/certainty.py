@@ -99,6 +99,12 @@ def floor_sentences(explanation: Explanation) -> Iterator[str]:
             else "Its residuals in train runs depend on no variable (5%)."
         )
         yield f"The model leaves {pose_error_text(rest.position_m, rest.heading_rad)} above that. {where}"
+    if rest is not None and rest.laws:
+        yield (
+            f"A force may be missing that follows one of these laws: {'; or '.join(rest.laws)}. They do as well in the"
+            " train runs, and none predicts whole runs left out better: none is added. Other motions would tell them"
+            " apart."
+        )
     if explanation.constants:
         parts = [
             f"{name} = {number(e.value, e.sd)} +- {number(e.sd, e.sd)}{unit_text(e)}"
