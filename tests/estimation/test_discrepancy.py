@@ -24,7 +24,8 @@ from snakejax.estimation.discrepancy.kalman import (
 )
 from snakejax.estimation.discrepancy.least_squares import Prior, optimum, quadratic
 from snakejax.estimation.discrepancy.open_loop import open_loop
-from snakejax.estimation.discrepancy.segments import BODY, FORCE, LENGTH, LinearisedSegments, Segments, cut_segments
+from snakejax.estimation.discrepancy.segmented_runs import LENGTH, cut_segments
+from snakejax.estimation.discrepancy.segments import BODY, FORCE, LinearisedSegments, Segments
 from snakejax.estimation.discrepancy.strength import (
     Scales,
     estimate_discrepancy,
@@ -241,6 +242,17 @@ def simulated_states() -> tuple[np.ndarray, np.ndarray]:
     n = cut.pose.shape[1]
     z = np.concatenate([body[: len(run.times) : n]] * cut.runs)
     return np.concatenate([z, np.zeros((len(z), FORCE))], axis=1), np.asarray(done.pose)
+
+
+@pytest.mark.slow
+def test_rolled_out_segments_are_a_whole_simulation() -> None:
+    """From the start of each run alone; what stands at the other segments before does not matter."""
+    z, _ = simulated_states()
+    first = segments().cut.first
+    disturbed = np.where(first[:, None], z, z + 0.1)
+    rolled = segments().rolled_out(np.array([0.9, 0.0, 7.0]), disturbed)
+    # As below: the start from rest is stiff.
+    np.testing.assert_allclose(rolled, z, rtol=0, atol=1e-4)
 
 
 @pytest.mark.slow

@@ -18,7 +18,7 @@ from ..selection.candidates import CandidateSet
 from .confidence import Confidence, confidence
 from .evidence import World, world
 from .left_out import LeftOut, left_out
-from .prediction import PredictiveCheck, bands, left_out_bands, predictive_check, smoothed_segments
+from .prediction import PredictiveCheck, bands, left_out_bands, predictive_check, simulated_segments, smoothed_segments
 from .search import ARRIVED, Linear, Search, distance
 from .subsets import Subsets
 
@@ -112,7 +112,8 @@ def assess(
     predictions = left_out_bands(search.segments.runs, linear.data, problem, gram, effects, own)
     check = None
     if heldout:
-        unseen = smoothed_segments(search, heldout, values, wide)
+        linearised = smoothed_segments if evidence.has_force else simulated_segments
+        unseen = linearised(search, heldout, values, wide)
         check = predictive_check(unseen, best, wide)
         predictions += bands(heldout, unseen, best, own)
     floor = np.sqrt((open_loop(linear.data, own).rms_sd ** 2).mean(axis=0))

@@ -37,13 +37,37 @@ class PredictiveCheck(NamedTuple):
         return self.misfit <= self.highest
 
 
+START_ROUNDS = 2
+"""Corrections of the start states of simulated runs. Poses are nearly linear in them."""
+
+
 def smoothed_segments(search: Search, runs: Sequence[Run], values: np.ndarray, discrepancy: Discrepancy) -> SegmentData:
     """The segments of `runs` under the parameters `values`, linearised at their smoothed states."""
     segments = Segments(search.model.model, runs, search.model.names)
     z = segments.with_steady_memories(values, segments.guess())
-    data = segment_data(segments.cut, segments.linearise(values, z), z)
-    z = moved_states(segments.cut, z, smooth(data, discrepancy, np.zeros(len(values))))
+    z = _smoothed(segments, values, z, discrepancy)
     return segment_data(segments.cut, segments.linearise(values, z), z)
+
+
+def simulated_segments(
+    search: Search, runs: Sequence[Run], values: np.ndarray, discrepancy: Discrepancy
+) -> SegmentData:
+    """The segments of `runs` under the parameters `values`, linearised along simulations of whole runs from fitted
+    start states.
+
+    Where no force acts beside the model, a state has only its run's start to differ by. Smoothed states of all segments
+    at once, of which each must then end in the next, need not converge.
+    """
+    segments = Segments(search.model.model, runs, search.model.names)
+    z = segments.rolled_out(values, segments.with_steady_memories(values, segments.guess()))
+    for _ in range(START_ROUNDS):
+        z = segments.rolled_out(values, _smoothed(segments, values, z, discrepancy))
+    return segment_data(segments.cut, segments.linearise(values, z), z)
+
+
+def _smoothed(segments: Segments, values: np.ndarray, z: np.ndarray, discrepancy: Discrepancy) -> np.ndarray:
+    data = segment_data(segments.cut, segments.linearise(values, z), z)
+    return moved_states(segments.cut, z, smooth(data, discrepancy, np.zeros(len(values))))
 
 
 def predictive_check(data: SegmentData, best: Optimum, discrepancy: Discrepancy) -> PredictiveCheck:

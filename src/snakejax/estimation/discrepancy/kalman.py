@@ -20,7 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from .segments import FORCE, LENGTH, LinearisedSegments, SegmentedRuns
+from .segmented_runs import LENGTH, SegmentedRuns
+from .segments import FORCE, LinearisedSegments
 
 CORRELATED = 1e-13
 """Added to the diagonal of correlation matrices, which may be singular to rounding."""

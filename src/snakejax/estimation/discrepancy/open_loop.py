@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Float
 
 from .kalman import Discrepancy, SegmentData
-from .segments import FORCE, LENGTH
+from .segmented_runs import LENGTH
+from .segments import FORCE
 
 
 class OpenLoop(NamedTuple):

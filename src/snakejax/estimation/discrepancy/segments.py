@@ -30,12 +30,8 @@ from snakejax.recording.run import Run
 
 from ..batch import stacked_gaits
 from ..multiple_shooting import initial_states
+from .segmented_runs import cut_segments
 
-LENGTH = 0.25
-"""Length of a segment [s]: the force may change from one to the next. Tyres let a sideways velocity decay within a
-fifth of that, and the forces that a model lacks change with the gait, over seconds."""
-FEWEST = 3
-"""Least number of samples of a segment."""
 CHUNK = 16
 """Segments that are integrated side by side; one compiled program serves every recording."""
 LARGEST_STEP = 2.5e-3
@@ -69,29 +65,6 @@ class ConstantForce(Force):
         return zero + self.X, zero + self.Y, zero + self.N
 
 
-class SegmentedRuns(NamedTuple):
-    """The S segments of R runs, n samples each.
-
-    `run` (S,): number of the run; `times` (S, n + 1) [s], the last is the first of the next segment; `pose` (S, n, 3),
-    zero where lost; `present` (S, n, 3); `first` (S,): whether it is the first of its run; `rest` (S,): whether it
-    begins at rest; `begins` (S,) [s]: time at which a start at rest is; `payload` (S, 2).
-    """
-
-    run: Int[np.ndarray, " S"]
-    times: Float[np.ndarray, "S n1"]
-    pose: Float[np.ndarray, "S n 3"]
-    present: Float[np.ndarray, "S n 3"]
-    first: np.ndarray
-    rest: np.ndarray
-    begins: Float[np.ndarray, " S"]
-    payload: Float[np.ndarray, "S 2"]
-
-    @property
-    def runs(self) -> int:
-        """The number of runs."""
-        return int(self.run[-1]) + 1
-
-
 class LinearisedSegments(NamedTuple):
     """`pose` (S, n, 3) and `end` (S, nz - 3) of all segments, with their derivatives by p (.., P) and z (.., nz)."""
 
@@ -101,29 +74,6 @@ class LinearisedSegments(NamedTuple):
     pose_z: np.ndarray
     end_p: np.ndarray
     end_z: np.ndarray
-
-
-def cut_segments(runs: Sequence[Run], length: float = LENGTH) -> SegmentedRuns:
-    """`runs` in segments of `length` [s], of as many samples each; the last of a run is filled with lost samples."""
-    frame = min(float(np.median(np.diff(np.asarray(run.times)))) for run in runs)
-    n = max(FEWEST, round(length / frame))
-    columns: list[tuple] = []
-    for k, run in enumerate(runs):
-        t, recorded = np.asarray(run.times), np.asarray(run.pose)
-        begins = float(run.gait.begins())
-        at_rest = not run.moving and begins >= t[0] - 1e-9
-        missing = -len(t) % n
-        t = np.concatenate([t, t[-1] + frame * np.arange(1, missing + 2)])
-        recorded = np.concatenate([recorded, np.full((missing, 3), np.nan)])
-        for s in range(len(recorded) // n):
-            part = recorded[s * n : (s + 1) * n]
-            present = np.isfinite(part)
-            times = t[s * n : (s + 1) * n + 1]
-            rest = at_rest and s == 0
-            columns.append(
-                (k, times, np.where(present, part, 0.0), present * 1.0, s == 0, rest, begins, np.asarray(run.payload))
-            )
-    return SegmentedRuns(*(np.array(column) for column in zip(*columns, strict=True)))
 
 
 def _integrated(model: Model, sub: Int[Array, ""], segment, z: Float[Array, " nz"]):
@@ -188,6 +138,13 @@ def _linearised(model: Model, names, multiplicative, values, sub, segments, z):
         return jax.vmap(lambda d: jax.jvp(outputs, (zero,), (d,)), out_axes=(None, -1))(jnp.eye(P + nz))
 
     return jax.vmap(one)(segments, z)
+
+
+@eqx.filter_jit
+def _ends(model: Model, names, values, sub, segments, z):
+    """The end states (S, nz - 3) of segments."""
+    model = with_parameters(model, {name: values[k] for k, name in enumerate(names)})
+    return jax.vmap(lambda segment, z: _integrated(model, sub, segment, z)[1])(segments, z)
 
 
 @eqx.filter_jit
@@ -293,6 +250,21 @@ class Segments:
         model = with_parameters(self.model, dict(zip(self.names, map(jnp.asarray, values), strict=True)))
         steady = _steady_memories(model, jax.tree.map(jnp.asarray, self.inputs), jnp.asarray(z[:, :BODY]))
         z[:, BODY:-FORCE] = np.where(self.cut.rest[:, None], 0.0, np.asarray(steady))
+        return z
+
+    def rolled_out(self, values: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """`z` where each segment but the first of a run begins where the one before it ends, without a force: the
+        states of whole simulated runs."""
+        z, sub, first = z.copy(), self._substeps(values), np.flatnonzero(self.cut.first)
+        z[:, -FORCE:] = 0.0
+        last = np.append(first[1:], len(z)) - 1
+        values_, steps = jnp.asarray(values, jnp.float64), jnp.asarray(sub.max())
+        for k in range((last - first).max()):
+            at = np.minimum(first + k, last)
+            segments, start = jax.tree.map(lambda leaf, at=at: jnp.asarray(leaf[at]), (self.inputs, z))
+            end = np.asarray(_ends(self.model, self.names, values_, steps, segments, start))
+            goes_on = first + k < last
+            z[at[goes_on] + 1, :-FORCE] = end[goes_on]
         return z
 
     def linearise(self, values: np.ndarray, z: np.ndarray) -> LinearisedSegments:

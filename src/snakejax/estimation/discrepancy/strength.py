@@ -23,7 +23,8 @@ from snakejax.recording.run import Run
 from ..multiple_shooting import initial_states
 from .kalman import Discrepancy, SegmentData, filter_runs
 from .least_squares import Prior
-from .segments import LENGTH, Segments
+from .segmented_runs import LENGTH
+from .segments import Segments
 
 WANDER_TIME, FORCE_TIME = (0.03, 2.0), (0.15, 10.0)
 """Limits of the time constants [s]: noise that wanders faster is white and slower is a pose of the start; a force that
