@@ -31,7 +31,7 @@ def offered(names: tuple[str, ...]) -> dict:
     return {name: kinds[name]() for name in names}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_tyre_and_the_asymmetry_of_a_wandering_car_are_found_and_nothing_else() -> None:
     effect = offered(OFFERED)["steering_asymmetry"]
     truth = Model(Car(**DART, **CONSTANTS, creep_speed=0.1), TYRE, "free").add(

@@ -28,6 +28,7 @@ def test_the_hidden_effect_is_found_and_explains_the_recording(hidden_effect, st
     assert (study_folder / "fall.png").stat().st_size > 10_000
 
 
+@pytest.mark.long
 def test_the_law_of_what_no_library_holds_is_found_and_is_the_same_as_an_effect_of_ones_own(own_effect):
     """`spring-board` was pulled by a spring of 0.15 N/m to the point (0.5, 0.8) m of the world."""
     found, fit = own_effect
@@ -50,7 +51,7 @@ def test_the_law_of_what_no_library_holds_is_found_and_is_the_same_as_an_effect_
     assert found.base.train.misfit > 100 * found.final.train.misfit
 
 
-@pytest.mark.parametrize("study", ["hidden_effect", "own_effect"])
+@pytest.mark.parametrize("study", ["hidden_effect", pytest.param("own_effect", marks=pytest.mark.long)])
 def test_the_story_of_a_bundled_recording(study, request, browser, tmp_path) -> None:
     found = request.getfixturevalue(study)
     found = found[0] if isinstance(found, tuple) else found

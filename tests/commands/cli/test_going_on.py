@@ -42,7 +42,7 @@ def result(out: Path) -> dict:
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_killed_command_goes_on_with_the_same_result(tmp_path) -> None:
     whole, out = tmp_path / "whole", tmp_path / "out"
     subprocess.run(command(tmp_path / "all", whole), check=True, capture_output=True, timeout=600)
