@@ -88,10 +88,10 @@ def choose_law(
 ) -> LawChoice:
     """The law that predicts train runs left out best.
 
-    Of laws that do not differ by `distinct_chi2` from the best, it is the one with the fewest parameters. There is none
-    where no law predicts them better than `linear` does, each under its own random force, by more than the standard
-    error; or where there is but one run. Where laws of other variables do as well, it is not known which is right, and
-    a wrong one may do harm in other motions: there it must lower the error of whole runs left out too.
+    Of laws that do not differ by `distinct_chi2` from the best, see `preferred`. There is none where no law predicts
+    them better than `linear` does, each under its own random force, by more than the standard error; or where there is
+    but one run. Where laws of other variables do as well, it is not known which is right, and a wrong one may do harm
+    in other motions: there it must lower the error of whole runs left out too.
     """
     if len(linear.gram) < 2:
         return LawChoice()
@@ -108,7 +108,7 @@ def choose_law(
         return LawChoice()
     most = min(with_one.deviance.sum() for _, with_one in fitted) + search.criteria.distinct_chi2
     as_good = [pair for pair in fitted if pair[1].deviance.sum() < most]
-    proposal, best = min(as_good, key=lambda pair: (len(pair[0].law.parameters), pair[1].deviance.sum()))
+    proposal, best = preferred(as_good)
     before, effects = left_out(search, linear), linear.point.effects
     if not Gain(before.deviance(effects) - best.deviance, 0.0).predicts:
         return LawChoice()
@@ -116,6 +116,16 @@ def choose_law(
     if rivals and not Gain(before.mean_square(effects) - best.mean_square, 0.0).predicts:
         return LawChoice(undecided=(proposal.law.expression, *rivals))
     return LawChoice(best._replace(rivals=rivals))
+
+
+def preferred(fitted: Sequence[tuple[Proposal, FittedLaw]]) -> tuple[Proposal, FittedLaw]:
+    """The law with the fewest parameters, of as many the best one; another one where that lowers the error of whole
+    runs left out by more than the standard error."""
+    first, *others = sorted(fitted, key=lambda pair: (len(pair[0].law.parameters), pair[1].deviance.sum()))
+    for other in others:
+        if Gain(first[1].mean_square - other[1].mean_square, 0.0).predicts:
+            first = other
+    return first
 
 
 def near(ordered: Sequence[Proposal], distinct_chi2: float) -> list[Proposal]:
