@@ -55,8 +55,8 @@ def _share(position: Float[np.ndarray, "n 3"]) -> float:
 
 
 def is_floor(capture: Capture, plane: Ground) -> bool:
-    """Whether the plane of motion may be the floor: it lies across the axis the file says is up, or nearly across some
-    axis where the file does not say.
+    """Whether the plane of motion may be the floor: it is perpendicular to the axis that the file says is up, or
+    nearly to some axis where the file does not say.
     """
     return plane.tilt < MOST_TILT and (plane.axis == capture.up[-1] or not capture.up_known)
 

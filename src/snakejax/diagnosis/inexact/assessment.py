@@ -55,7 +55,10 @@ class Assessment(NamedTuple):
 
     @property
     def random_force_share(self) -> float:
-        """The largest random force, as a share of the force that moves the vehicle."""
+        """The largest random force, as a share of the force that moves the vehicle; 0 where there is none: the estimate
+        of one that short runs do not show says nothing."""
+        if not self.world.has_force:
+            return 0.0
         return float(np.max(self.linear.point.discrepancy.force / self.search.scales.force))
 
     def fit_with(self, effects: tuple[str, ...]) -> tuple[np.ndarray, bool]:

@@ -43,7 +43,7 @@ def upward(markers: Mapping[str, Float[np.ndarray, "n 3"]], usual: str, why: str
     if floor is not None and floor.tilt < MOST_TILT:
         # A plane has two sides, and what rolls in it lies on one of them.
         sign = "-" if f"-{floor.axis}" in directions else ""
-        return Upward(sign + floor.axis, "the plane in which its markers move lies across it")
+        return Upward(sign + floor.axis, "the plane in which its markers move is perpendicular to it")
     if len(directions) > 1 and not is_rigid(points):
         tall = {direction: _extent(points, direction) for direction in AXES}
         directions = [
