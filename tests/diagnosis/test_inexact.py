@@ -8,7 +8,9 @@ import pytest
 from scipy import stats
 
 from snakejax.core.parameter import Domain
+from snakejax.diagnosis.inexact.assessment import Assessment
 from snakejax.diagnosis.inexact.candidate_model import CandidateModel
+from snakejax.diagnosis.inexact.evidence import World
 from snakejax.diagnosis.inexact.explaining import shares_of
 from snakejax.diagnosis.inexact.left_out import LeftOut
 from snakejax.diagnosis.inexact.search import FURTHEST_CONSTANT, FURTHEST_FACTOR, Search
@@ -181,3 +183,15 @@ def test_the_linear_problem_keeps_constants_and_grip_within_what_it_holds_for() 
     # Where the values are already further off, they may stay there.
     far = search.subsets(np.array([5.0, 9.0, 0.0]), columns.T @ columns)
     assert far.low[1] < 0.0 <= far.high[1]
+
+
+@pytest.mark.parametrize(("evidence", "share"), [(8.0, 0.0), (10.0, 0.3)])
+def test_a_random_force_that_the_runs_do_not_show_has_no_share(evidence: float, share: float) -> None:
+    """Of short runs its estimate is anything."""
+    linear = SimpleNamespace(point=SimpleNamespace(discrepancy=SimpleNamespace(force=np.array([0.1, 0.6, 0.0]))))
+    parts = dict.fromkeys(Assessment._fields) | {
+        "linear": linear,
+        "search": SimpleNamespace(scales=SimpleNamespace(force=np.full(3, 2.0))),
+        "world": World(evidence, 100.0, 0.0, CRITERIA.random_force_chi2),
+    }
+    assert Assessment(**parts).random_force_share == pytest.approx(share)  # type: ignore[arg-type]

@@ -13,11 +13,13 @@ from helpers.small_case import small
 from snakejax import Model, Pacejka
 from snakejax.diagnosis.inexact import segment_force
 from snakejax.diagnosis.inexact.candidate_model import CandidateModel
+from snakejax.diagnosis.inexact.left_out import LeftOut
 from snakejax.diagnosis.inexact.search import Linear, Point, Search
 from snakejax.diagnosis.inexact.segment_force import force_windows, motions_of
 from snakejax.diagnosis.law.grammar import Family, Term
 from snakejax.dynamics.law import LawParameter, law_class
 from snakejax.estimation.discrepancy.kalman import Discrepancy, gram_matrices, segment_data
+from snakejax.estimation.discrepancy.open_loop import open_loop
 from snakejax.estimation.discrepancy.segments import BODY, FORCE, Segments
 from snakejax.estimation.fit_journal import keep_fits
 
@@ -113,3 +115,14 @@ def test_a_kept_refit_is_linearised_where_it_ended(tmp_path) -> None:
     assert not np.array_equal(first.point.values, linear.point.values)
     for before, after in zip(jax.tree.leaves(first), jax.tree.leaves(again), strict=True):
         assert np.asarray(before).tobytes() == np.asarray(after).tobytes()
+
+
+def test_a_run_left_out_is_simulated_with_parameters_of_the_other() -> None:
+    """Its error is that of whole runs after the step which the other run alone gives."""
+    search, linear = problem()
+    errors = LeftOut(linear, linear.gram, linear.gram[:, None], np.zeros((2, 1)), np.ones((2, 1)), 1).mean_square(())
+    noise = np.hypot(DISCREPANCY.white, DISCREPANCY.wander)
+    for run in range(2):
+        alone = linear.subsets._replace(gram=linear.gram[1 - run]).with_effects(()).step
+        residual, _ = open_loop(linear.data.at_step(alone), DISCREPANCY).predicted()
+        assert errors[run] == pytest.approx(np.nanmean((residual[run] / noise) ** 2), rel=1e-9)

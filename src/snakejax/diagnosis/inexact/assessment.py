@@ -101,25 +101,28 @@ def assess(
     not among its effects, because these runs cannot choose."""
     criteria, scales = search.criteria, search.scales
     evidence = world(search, linear)
-    wide = linear.point.discrepancy
+    # Intervals count a force that the runs do not show, as far as it was estimated; predictions do without it.
+    wide = expected = predicting = linear.point.discrepancy
     if evidence.has_force:
-        wide = wide.enlarged(criteria.interval_force * scales.force, longest=criteria.shortest_force)
+        wide = expected = wide.enlarged(criteria.interval_force * scales.force, longest=criteria.shortest_force)
+    else:
+        expected = predicting = wide.without_force(scales.least_force)
     predicted = left_out(search, linear)
     sure = confidence(search, linear, predicted, laws)
     effects = tuple(sorted(sure, key=lambda effect: -sure[effect].cautious_fall))
     problem = linear.under(wide)
     values = search.segments.moved(linear.point.values, linear.optimum.step)
     search.progress(ProgressEvent(Phase.PREDICTIVE_CHECK))
-    best, own = problem.with_effects(effects), linear.point.discrepancy
+    best = problem.with_effects(effects)
     gram, _ = gram_matrices(linear.data, wide)
-    predictions = left_out_bands(search.segments.runs, linear.data, problem, gram, effects, own)
+    predictions = left_out_bands(search.segments.runs, linear.data, problem, gram, effects, predicting)
     check = None
     if heldout:
         linearised = smoothed_segments if evidence.has_force else simulated_segments
-        unseen = linearised(search, heldout, values, wide)
-        check = predictive_check(unseen, best, wide)
-        predictions += bands(heldout, unseen, best, own)
-    floor = np.sqrt((open_loop(linear.data, own).rms_sd ** 2).mean(axis=0))
+        unseen = linearised(search, heldout, values, expected)
+        check = predictive_check(unseen, best, expected)
+        predictions += bands(heldout, unseen, best, predicting)
+    floor = np.sqrt((open_loop(linear.data, predicting).rms_sd ** 2).mean(axis=0))
     odd = _odd_runs(search, linear, problem, gram)
     results = (problem, sure, predicted, evidence, check, floor, predictions, odd)
     return Assessment(search, linear, base, effects, *results, candidate_set, undecided)
