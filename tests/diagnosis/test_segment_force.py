@@ -119,7 +119,7 @@ def test_a_kept_refit_is_linearised_where_it_ended(tmp_path) -> None:
 
 def test_a_run_left_out_is_simulated_with_parameters_of_the_other() -> None:
     """Its error is that of whole runs after the step which the other run alone gives."""
-    search, linear = problem()
+    _, linear = problem()
     errors = LeftOut(linear, linear.gram, linear.gram[:, None], np.zeros((2, 1)), np.ones((2, 1)), 1).mean_square(())
     noise = np.hypot(DISCREPANCY.white, DISCREPANCY.wander)
     for run in range(2):
