@@ -245,6 +245,24 @@ def simulated_states() -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.slow
+def test_a_heavier_vehicle_feels_a_force_in_proportion() -> None:
+    """Twice the mass, the inertias and the tyre's force: the same motion under the same z."""
+    case, _, _ = small()
+    board = case.board.with_payload(0.0, 0.0)
+    names = ("tyre.D", "board.mass", "board.rotor_inertia", "board.wheelset_inertia", "board.inertia")
+    light = np.array([0.9, board.mass, board.rotor_inertia, board.wheelset_inertia, board.inertia], float)
+    s = Segments(Model(board, Pacejka(8.0, 1.3, 0.9, 0.2), "free"), case.runs, names)
+    z = s.guess()
+    z[:, -FORCE:] = (0.3, -0.2, 0.05)
+    once, twice = s.linearise(light, z), s.linearise(2 * light, z)
+    np.testing.assert_allclose(twice.pose, once.pose, rtol=0, atol=1e-12)
+    by_scale = once.pose_p @ np.where(s.multiplicative, 1.0, light)
+    np.testing.assert_allclose(by_scale, 0.0, atol=1e-9)
+    assert np.abs(once.pose_p[..., 1]).max() > 1e-4
+    np.testing.assert_allclose(s.force_ratio(2 * light), 2.0)
+
+
+@pytest.mark.slow
 def test_rolled_out_segments_are_a_whole_simulation() -> None:
     """From the start of each run alone; what stands at the other segments before does not matter."""
     z, _ = simulated_states()

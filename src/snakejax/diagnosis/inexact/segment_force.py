@@ -103,7 +103,8 @@ def force_windows(search: Search, linear: Linear) -> ForceWindows:
 
     mean = np.kron(np.eye(K), np.full((1, len(pick)), 1 / len(pick)))
     onto = np.array([mean * (np.arange(K) < length)[:, None] for _, _, length in places])
-    grams = np.array(list(_grams(linear, places, rows, grip, free, K)))
+    ratio = segments.force_ratio(point.values)
+    grams = np.array(list(_grams(linear, places, rows, grip, ratio, free, K)))
     owner = np.array([run for run, _, _ in places])
     prior = search.prior_at(point.values)
     return ForceWindows(
@@ -121,9 +122,11 @@ def force_windows(search: Search, linear: Linear) -> ForceWindows:
     )
 
 
-def _grams(linear: Linear, places, rows: np.ndarray, grip: _Grip, free: np.ndarray, K: int) -> Iterator[np.ndarray]:
+def _grams(
+    linear: Linear, places, rows: np.ndarray, grip: _Grip, ratio: np.ndarray, free: np.ndarray, K: int
+) -> Iterator[np.ndarray]:
     """The Gram matrix of each window: residual, the parameters `free`, force (X, Y, N) knot by knot, grip knot by
-    knot."""
+    knot. `ratio` (3,): of a force and that in the state of a segment."""
     data = linear.data.keeping(free)
     P, nz = len(free), data.state.shape[-1]
     for (run, first, length), of_window in zip(places, rows, strict=True):
@@ -135,11 +138,12 @@ def _grams(linear: Linear, places, rows: np.ndarray, grip: _Grip, free: np.ndarr
         for k in range(length):
             force = slice(1 + P + FORCE * k, 1 + P + FORCE * (k + 1))
             grips = slice(1 + P + FORCE * K + GRIP * k, 1 + P + FORCE * K + GRIP * (k + 1))
-            columns[k, ..., force] = data.state[run, first + k, ..., nz - FORCE :]
+            columns[k, ..., force] = data.state[run, first + k, ..., nz - FORCE :] / ratio
             columns[k, ..., grips] = grip.pose[of_window[k]]
             if k + 1 < length:
+                by_force = data.transition[run, first + k + 1, : nz - FORCE, nz - FORCE :]
                 # The deviation is that without a force less the sum of its columns times the force.
-                shift[k + 1, : nz - FORCE, force] = -data.transition[run, first + k + 1, : nz - FORCE, nz - FORCE :]
+                shift[k + 1, : nz - FORCE, force] = -by_force / ratio
                 shift[k + 1, : nz - FORCE, grips] = -grip.end[of_window[k]]
         whole = window._replace(columns=columns, shift=shift)
         one_run = SegmentData._make([*(part[None] for part in whole[:-1]), whole.rest])

@@ -6,6 +6,10 @@ a fit moves, sample j of segment k and the start of the next segment are
     y_j     = h_j(z_k, p)           j = 1..n
     z_(k+1) = F_k(z_k, p)           body and memories; the force (X, Y, N) is a random process, see `kalman`
 
+The force of z is that of a vehicle with the stated mass and inertia; on one with others it is in proportion to them, so
+that it gives the same acceleration. A random force of fixed strength would be less likely the heavier the vehicle: a
+fit that minimises chi^2 would make it lighter, and its tyres and drags weaker with it.
+
 Segments are short, so that h and F are nearly linear in z and p even where the model is far from the recording.
 """
 
@@ -76,11 +80,18 @@ class LinearisedSegments(NamedTuple):
     end_z: np.ndarray
 
 
-def _integrated(model: Model, sub: Int[Array, ""], segment, z: Float[Array, " nz"]):
-    """Poses (n, 3) and end state (nz - 3,) of one segment; `segment` is (gait, times, rest, begins, payload)."""
+def _inertia(model: Model) -> tuple[Scalar, Scalar, Scalar]:
+    """Mass [kg], twice, and yaw inertia [kg m^2] of the vehicle without payload."""
+    return model.board.mass, model.board.mass, model.board.total_inertia
+
+
+def _integrated(model: Model, stated, sub: Int[Array, ""], segment, z: Float[Array, " nz"]):
+    """Poses (n, 3) and end state (nz - 3,) of one segment; `segment` is (gait, times, rest, begins, payload), `stated`
+    the inertia to which the force in `z` belongs."""
     gait, times, rest, begins, payload = segment
+    force = [f * now / then for f, now, then in zip(z[-FORCE:], _inertia(model), stated, strict=True)]
     model = eqx.tree_at(lambda m: m.board, model, replace_fn=lambda b: b.with_payload(*payload))
-    model = with_parameters(model, dict(zip(_FORCE_NAMES, z[-FORCE:], strict=True)))
+    model = with_parameters(model, dict(zip(_FORCE_NAMES, force, strict=True)))
     gait = model.prepared(gait)
     template = jax.tree.structure(model.start((z[0], z[1], z[2])))
     delayed = times - model.delay()
@@ -127,12 +138,12 @@ def _at(model: Model, names, multiplicative, values, step):
 
 
 @eqx.filter_jit
-def _linearised(model: Model, names, multiplicative, values, sub, segments, z):
+def _linearised(model: Model, stated, names, multiplicative, values, sub, segments, z):
     P, nz = len(names), z.shape[-1]
 
     def one(segment, z):
         def outputs(d):
-            return _integrated(_at(model, names, multiplicative, values, d[:P]), sub, segment, z + d[P:])
+            return _integrated(_at(model, names, multiplicative, values, d[:P]), stated, sub, segment, z + d[P:])
 
         zero = jnp.zeros(P + nz)
         return jax.vmap(lambda d: jax.jvp(outputs, (zero,), (d,)), out_axes=(None, -1))(jnp.eye(P + nz))
@@ -141,10 +152,10 @@ def _linearised(model: Model, names, multiplicative, values, sub, segments, z):
 
 
 @eqx.filter_jit
-def _ends(model: Model, names, values, sub, segments, z):
+def _ends(model: Model, stated, names, values, sub, segments, z):
     """The end states (S, nz - 3) of segments."""
     model = with_parameters(model, {name: values[k] for k, name in enumerate(names)})
-    return jax.vmap(lambda segment, z: _integrated(model, sub, segment, z)[1])(segments, z)
+    return jax.vmap(lambda segment, z: _integrated(model, stated, sub, segment, z)[1])(segments, z)
 
 
 @eqx.filter_jit
@@ -184,6 +195,7 @@ class Segments:
         self.runs, self.names = tuple(runs), tuple(names)
         self.cut = cut_segments(runs)
         self.model = model.add(segment_force=ConstantForce())
+        self.stated = tuple(jnp.asarray(part, jnp.float64) for part in _inertia(model))
         domains = parameters(model)
         self.domains = [domains[name].domain for name in names]
         self.multiplicative = np.array([domain.multiplicative for domain in self.domains])
@@ -206,6 +218,11 @@ class Segments:
         other.domains = [known[part].domain for part in other.names]
         other.multiplicative = np.array([domain.multiplicative for domain in other.domains])
         return other
+
+    def force_ratio(self, values: np.ndarray) -> Float[np.ndarray, " 3"]:
+        """The force on the vehicle at the parameters `values` over the force in z, for X, Y and N."""
+        model = with_parameters(self.model, dict(zip(self.names, map(jnp.asarray, values), strict=True)))
+        return np.array([float(now / then) for now, then in zip(_inertia(model), self.stated, strict=True)])
 
     def _by_segment(self, states: Sequence[np.ndarray]) -> np.ndarray:
         """The smoothed states (S, n, 6) at the samples of each segment; the last one stands for samples filled in."""
@@ -262,7 +279,7 @@ class Segments:
         for k in range((last - first).max()):
             at = np.minimum(first + k, last)
             segments, start = jax.tree.map(lambda leaf, at=at: jnp.asarray(leaf[at]), (self.inputs, z))
-            end = np.asarray(_ends(self.model, self.names, values_, steps, segments, start))
+            end = np.asarray(_ends(self.model, self.stated, self.names, values_, steps, segments, start))
             goes_on = first + k < last
             z[at[goes_on] + 1, :-FORCE] = end[goes_on]
         return z
@@ -312,7 +329,7 @@ class Segments:
             padded = numbers[np.concatenate([part, np.repeat(part[-1:], CHUNK - len(part))])]
             segments, start = jax.tree.map(lambda leaf: jnp.asarray(leaf[padded]), (self.inputs, z))
             sub = jnp.asarray(steps[part].max())
-            done = _linearised(self.model, self.names, self.multiplicative, point, sub, segments, start)
+            done = _linearised(self.model, self.stated, self.names, self.multiplicative, point, sub, segments, start)
             for target, results in zip(((pose, end), (d_pose, d_end)), done, strict=True):
                 for whole, values_ in zip(target, results, strict=True):
                     whole[part] = np.asarray(values_)[: len(part)]
