@@ -28,6 +28,7 @@ from snakejax.estimation.discrepancy.segmented_runs import LENGTH, cut_segments
 from snakejax.estimation.discrepancy.segments import BODY, FORCE, LinearisedSegments, Segments
 from snakejax.estimation.discrepancy.strength import (
     Scales,
+    _minimum,
     estimate_discrepancy,
     restricted_likelihood,
     scales_of,
@@ -336,26 +337,45 @@ def test_steps_that_are_too_long_show_in_the_growth_of_the_velocities(monkeypatc
         np.testing.assert_allclose(at.end[k], end_of_segment(k, stiff, z[k]), atol=1e-6)
 
 
+def recorded(truth: Discrepancy) -> tuple[SegmentData, Scales, Prior]:
+    """Two runs with noise and a random force of known strengths, the scales of a recording, and weak priors."""
+    s = segments()
+    z, _ = simulated_states()
+    at = s.linearise(np.array([0.9, 0.0, 7.0]), z)
+    cut = s.cut._replace(pose=at.pose + drawn(at, s, truth, np.random.default_rng(0)))
+    scales = Scales(np.array([6e-4, 6e-4, 2e-3]), np.array([1.0, 1.0, 0.5]))
+    return segment_data(cut, at, z), scales, Prior(np.zeros(3), np.full(3, 1e4))
+
+
 @pytest.mark.slow
 def test_noise_and_force_are_found_again() -> None:
     """The truth is within the range of the likelihood ratio of nine strengths, at a level of 0.001."""
     truth = Discrepancy(
         np.array([3e-4, 3e-4, 1e-3]), np.array([5e-4, 5e-4, 1.5e-3]), 0.2, np.array([0.2, 0.1, 0.05]), 0.6
     )
-    s = segments()
-    z, _ = simulated_states()
-    at = s.linearise(np.array([0.9, 0.0, 7.0]), z)
-    rng = np.random.default_rng(0)
-    cut = s.cut._replace(pose=at.pose + drawn(at, s, truth, rng))
-    data = segment_data(cut, at, z)
-    scales = Scales(np.array([6e-4, 6e-4, 2e-3]), np.array([1.0, 1.0, 0.5]))
-    prior = Prior(np.zeros(3), np.full(3, 1e4))
+    data, scales, prior = recorded(truth)
     found, least = estimate_discrepancy(data, scales.first_guess(), np.arange(3), prior, scales, 60)
     ratio = restricted_likelihood(data, truth, np.arange(3), prior) - least
     assert 0 < ratio < stats.chi2.isf(0.001, 9)
     # What many samples tell, within a tenth.
     np.testing.assert_allclose(found.white, truth.white, rtol=0.1)
     np.testing.assert_allclose(found.wander, truth.wander, rtol=0.35)
+
+
+@pytest.mark.slow
+def test_noise_that_was_taken_for_a_force_is_found_again() -> None:
+    """The wandering noise has become the white one, and the force what wanders."""
+    truth = Discrepancy(
+        np.array([3e-4, 3e-4, 1e-3]), np.array([5e-4, 5e-4, 1.5e-3]), 0.2, np.array([0.02, 0.01, 0.005]), 0.6
+    )
+    data, scales, prior = recorded(truth)
+    wrong = Discrepancy(1e-3 * scales.noise, np.array([6e-4, 6e-4, 1.2e-3]), 0.03, np.array([0.1, 0.3, 0.05]), 0.15)
+    _, stuck = _minimum(data, wrong, np.arange(3), prior, scales, 25)
+    found, least = estimate_discrepancy(data, wrong, np.arange(3), prior, scales, 25)
+    at_truth = restricted_likelihood(data, truth, np.arange(3), prior)
+    assert stuck > at_truth + 20
+    assert least < at_truth + 5
+    np.testing.assert_allclose(found.white, truth.white, rtol=0.15)
 
 
 def drawn(at: LinearisedSegments, s: Segments, truth: Discrepancy, rng: np.random.Generator) -> np.ndarray:

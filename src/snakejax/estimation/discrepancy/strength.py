@@ -38,6 +38,11 @@ COLUMNS = 8
 """The number of columns of a compiled program is a multiple of this."""
 SLOWEST_GAIN = 1e-7
 """The search ends where an iteration lowers R by less than this share."""
+NEARLY_WHITE, NO_WHITE = 1.5, 0.1
+"""Noise that wanders within the first factor of the fastest time constant counts as white; white noise below the second
+share of it, 1% of its power, as none."""
+RESTARTED = 25
+"""Iterations of a second search, at least."""
 
 
 class Scales(NamedTuple):
@@ -147,7 +152,24 @@ def restricted_likelihood(data: SegmentData, of: Discrepancy, free: np.ndarray, 
 def estimate_discrepancy(
     data: SegmentData, start: Discrepancy, free: np.ndarray, prior: Prior, scales: Scales, most: int
 ) -> tuple[Discrepancy, float]:
-    """The `Discrepancy` of least R, and R, from `start` in at most `most` iterations (L-BFGS-B)."""
+    """The `Discrepancy` of least R, and R, from `start` in at most `most` iterations (L-BFGS-B).
+
+    Far from the right model the wandering noise may become the white one, and the force what wanders: a minimum of its
+    own. Where the noise wanders as fast as it may and none is white, another search begins with both.
+    """
+    least = _minimum(data, start, free, prior, scales, most)
+    of = least[0]
+    is_white = of.wander_time < NEARLY_WHITE * WANDER_TIME[0]
+    if scales.wander_time is None and is_white and (of.white < NO_WHITE * of.wander).any():
+        guess = scales.first_guess()
+        both = guess._replace(white=of.wander, wander=of.wander, force=0.1 * of.force)
+        least = min(least, _minimum(data, both, free, prior, scales, max(most, RESTARTED)), key=lambda pair: pair[1])
+    return least
+
+
+def _minimum(
+    data: SegmentData, start: Discrepancy, free: np.ndarray, prior: Prior, scales: Scales, most: int
+) -> tuple[Discrepancy, float]:
     low, high = scales.bounds()
     kept, prior_ = _kept(data, free), _prior_of(prior, free)
 
