@@ -32,6 +32,7 @@ def test_the_site_shows_the_error_falling_first(site: Path) -> None:
     assert (site / first[1]).stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_the_site_names_every_command_and_effect(site: Path) -> None:
     commands = (site / "commands" / "index.html").read_text(encoding="utf-8")
     assert all(

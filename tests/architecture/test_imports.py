@@ -104,6 +104,7 @@ def test_imports_follow_the_arrows(file: Path) -> None:
     assert not wrong, f"{module} imports {', '.join(sorted(wrong))}, which `{package}` may not."
 
 
+@pytest.mark.slow
 def test_no_module_imports_itself_through_others() -> None:
     graph = {module_of(file): inside(imports_of(file)) - {module_of(file), ""} for file in FILES}
     tuple(graphlib.TopologicalSorter(graph).static_order())  # Raises CycleError, which names the cycle.

@@ -61,6 +61,7 @@ def test_an_effect_of_ones_own_is_given_again(tmp_path: Path) -> None:
     np.testing.assert_allclose(end_of(sj.load_model(path, f"{own}:WorldSpring")), end, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_final_model_of_an_explanation_is_loaded(tmp_path: Path) -> None:
     path, _ = written(tmp_path)
     found = json.loads(path.read_text())

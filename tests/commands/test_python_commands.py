@@ -74,6 +74,7 @@ def test_a_fit_in_python_is_that_of_the_command(short: Path, fitted: sj.Fit, tmp
     assert fitted.train_score.misfit == written["base"]["misfit"]["train"]
 
 
+@pytest.mark.slow
 def test_a_case_without_noise_is_fitted_by_the_estimated_one(short: Path, tmp_path: Path) -> None:
     folder = shutil.copytree(short, tmp_path / "short-board")
     text = SHORT.replace("[noise]\nposition_m = 0.0004\nheading_rad = 0.0025\n", "")
@@ -83,6 +84,7 @@ def test_a_case_without_noise_is_fitted_by_the_estimated_one(short: Path, tmp_pa
     assert 0.5 < found.train_score.misfit < 2
 
 
+@pytest.mark.slow
 def test_compare_takes_a_fit_or_a_case(short: Path, fitted: sj.Fit) -> None:
     compared = sj.compare(fitted)
     with pytest.warns(UserWarning):

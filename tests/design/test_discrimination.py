@@ -124,6 +124,7 @@ def test_the_objective_is_read() -> None:
             effects_of(text)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "why"),
     [

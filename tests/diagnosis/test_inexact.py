@@ -71,6 +71,7 @@ def test_what_acts_is_found_from_any_start(seed: int) -> None:
         assert set(best_subset(made, last, all_at_once=True)) == {"a", "c", "f"}
 
 
+@pytest.mark.slow
 def test_chance_is_taken_for_an_effect_as_often_as_the_level_says() -> None:
     """Of 8 candidates at the level of 25 in 300 boards without any effect: 0.96 expected, 5 at a level of 0.003."""
     taken = sum(bool(best_subset(problem(1000 + k, {})[0], "", all_at_once=True)) for k in range(300))

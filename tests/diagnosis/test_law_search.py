@@ -104,6 +104,7 @@ def test_the_law_that_made_the_force_comes_first(name: str) -> None:
     assert first.left_out < 1.05 and first.share > 0.95
 
 
+@pytest.mark.slow
 def test_noise_has_no_law() -> None:
     assert search(windows_of(law_of(("X", "0 * x")))) == ()
 
@@ -142,6 +143,7 @@ def test_of_laws_that_do_as_well_the_one_with_the_fewest_parameters_comes_first(
         assert len(search(windows_of(CASES["spring"][0], seed))[0].parameters) == 3
 
 
+@pytest.mark.slow
 def test_a_proposed_law_is_neutral_by_default() -> None:
     law = search(windows_of(CASES["shaken grip"][0]))[0]
     effect = law_class(law.expression, law.parameters)()

@@ -75,6 +75,7 @@ def test_the_column_of_a_law_is_the_derivative_of_a_simulation_with_it(name: str
     np.testing.assert_allclose(windows.square, linear.gram[:, 0, 0], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_long_runs_are_cut_into_windows_with_free_starts(monkeypatch: Any) -> None:
     """Windows of five segments say less of the parameters than the run of sixteen where no force wanders on from one to
     the next, and hold each sample once."""

@@ -41,6 +41,7 @@ PACEJKA_DOMAIN = [(0.05, 30.0), (0.1, 2.0), (0.0, 20.0), (-5.0, 1.0)]
 """Ranges of B, C, D and E within which the force never reverses."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("constraint", ["coupled", "free"])
 @pytest.mark.parametrize("law", ["Pacejka", "Rayleigh", "Bakker"])
 def test_traction_never_feeds_energy_in(law, constraint):
@@ -125,6 +126,7 @@ def test_a_run_may_start_anywhere(constraint):
     np.testing.assert_allclose(there, moved, atol=1e-11)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("constraint", STRUCTURES)
 def test_a_mirrored_gait_gives_a_mirrored_run(constraint):
     """Joints, crab angles, start and tyre offsets mirrored at the x axis."""

@@ -203,6 +203,7 @@ def test_neutral_is_absent(name: str, constraint: str) -> None:
     assert float(with_.delay()) == 0.0
 
 
+@pytest.mark.slow
 @each_pair
 def test_it_acts(name: str, constraint: str) -> None:
     moved = acted(constraint, name) - untouched(constraint)

@@ -107,6 +107,7 @@ def test_it_acts_or_refuses(kind: str, name: str, structure: str) -> None:
     assert np.abs(moved_by_each(kind, structure)[name]).max() > 1e-6, f"{name} does nothing to the {kind}."
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("structure", ["free", "ideal"])
 @pytest.mark.parametrize("kind", VEHICLES)
 def test_neutral_is_absent(kind: str, structure: str) -> None:

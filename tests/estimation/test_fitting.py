@@ -168,6 +168,7 @@ def test_a_parameter_on_its_bound_is_said_to_be(design):
     assert any(ended)
 
 
+@pytest.mark.slow
 def test_huber_resists_gross_outliers(design):
     """Samples off by 30 standard deviations, one in a hundred: least squares is thrown off, Huber's loss is not."""
     rng = np.random.default_rng(7)

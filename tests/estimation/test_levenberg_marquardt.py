@@ -48,6 +48,7 @@ def test_the_first_step_is_damped_by_the_unit():
     np.testing.assert_allclose(z, -np.linalg.solve(normal + np.diag(np.diag(normal)) / unit**2, J.T @ r), rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_fit_ends_where_a_step_promises_less_than_enough():
     """The promised fall of chi^2 is |r|^2 = 4: enough where 5 is asked for, not where 3 is."""
     for enough, ends in ((5.0, True), (3.0, False)):

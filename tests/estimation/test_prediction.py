@@ -96,6 +96,7 @@ def test_a_car_without_slip_that_coasts_is_off_by_what_one_computes_by_hand() ->
         assert off[f"{h:g}"].position == pytest.approx(np.hypot(chord[0] - travelled * h, chord[1]), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_nothing_measured_after_the_lead_in_is_used() -> None:
     times, gait = np.arange(200) / 50, inputs(4.0, 0.3)
     pose = circle(times, 1.2, 0.8)

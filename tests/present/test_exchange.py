@@ -20,6 +20,7 @@ from snakejax.present import exchange
 yaml = pytest.importorskip("yaml", reason="PyYAML is not installed.")
 
 
+@pytest.mark.slow
 def test_runs_are_tables() -> None:
     case, _, _ = small()
     data = exchange.runs_dataset(case)
@@ -33,6 +34,7 @@ def test_runs_are_tables() -> None:
     assert (table["run"] == "short").sum() == 50 and len(table) == 450
 
 
+@pytest.mark.slow
 def test_residuals_are_measured_less_modelled() -> None:
     case, noise, fit = small()
     data = exchange.residuals_dataset(fit)

@@ -125,6 +125,7 @@ def test_an_error_of_ten_times_the_noise_is_called_so(tenfold) -> None:
     assert row.split()[1] == f"{whole:.2f}"
 
 
+@pytest.mark.slow
 def test_no_output_calls_a_mean_square_an_error() -> None:
     """205 is the root of the 42 000 of the story that was made up, 17.7 that of 312, 2.65 that of 7.04."""
     base = "12.3 mm and 1.00 mrad (205 times the noise)"

@@ -91,6 +91,7 @@ def test_a_law_that_leaves_more_than_noise_is_told_to_lower_the_error() -> None:
     assert not any("Still significant beside the missing force" in line for line in lines)
 
 
+@pytest.mark.slow
 def test_the_report_has_a_section_of_the_law() -> None:
     found = told()
     page = explanation_page(found, result(found) | NOTHING_SAID, models(found))

@@ -39,6 +39,7 @@ def test_names_from_files_are_shown_as_text(nasty, browser, tmp_path) -> None:
     check(seen)
 
 
+@pytest.mark.slow
 def test_a_path_is_where_the_board_was(nasty, tmp_path) -> None:
     """The numbers of the chart, without a browser: measured and modelled x against y."""
     case, noise, found = nasty
@@ -125,6 +126,7 @@ def test_a_number_has_the_digits_that_its_error_bears(value, sd, shown) -> None:
 HEAD = {"schema": 1, "case": NASTY, "model": "pacejka", "skid": "coupled", "provenance": provenance_json(0, {}, {})}
 
 
+@pytest.mark.slow
 def test_a_sweep_along_one_parameter(browser, tmp_path) -> None:
     D = [0.5 * k for k in range(1, 13)]
     k_s = [None, *(3.0 + 2 * d for d in D[1:])]
@@ -149,6 +151,7 @@ def test_a_sweep_along_one_parameter(browser, tmp_path) -> None:
     assert len(seen.page.query_selector_all("tbody tr")) == 12
 
 
+@pytest.mark.slow
 def test_a_sweep_over_two_parameters(browser, tmp_path) -> None:
     values = [[1.0, 2.0, 3.0], [4.0, None, 6.0]]
     ends = {key: values for key in ("x_m", "y_m", "heading_rad")}
@@ -166,6 +169,7 @@ def test_a_sweep_over_two_parameters(browser, tmp_path) -> None:
     assert (k_s["x"], k_s["y"], k_s["z"]) == ([0.0, 0.1, 0.2], [1.0, 2.0], values)
 
 
+@pytest.mark.slow
 def test_a_tuned_gait(browser, tmp_path) -> None:
     t = [0.1 * k for k in range(20)]
     path = {"t": t, "x": t, "y": t, "heading": t, "phi": t, "psi": t}
@@ -182,6 +186,7 @@ def test_a_tuned_gait(browser, tmp_path) -> None:
     assert [trace["name"] for trace in seen.traces("psi")] == ["best known", "tuned"]
 
 
+@pytest.mark.slow
 def test_a_band_is_drawn_over_what_was_measured() -> None:
     """The run that was measured less its prediction, and 1.96 standard deviations to both sides, in mm and mrad."""
     run, unseen = story().case.runs[:2]

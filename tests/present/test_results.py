@@ -71,6 +71,7 @@ HEADLINES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RESULTS)
 def test_a_result_is_told_in_a_line_or_two(name) -> None:
     assert re.fullmatch(HEADLINES[name], repr(RESULTS[name]()))

@@ -348,6 +348,7 @@ def test_template_overwrites_nothing(tmp_path):
     assert (tmp_path / "case.toml").read_text(encoding="utf-8") == TOML
 
 
+@pytest.mark.slow
 def test_the_eleven_recordings_load(recordings):
     folders = sorted(path for path in recordings.iterdir() if path.is_dir())
     assert len(folders) >= 11

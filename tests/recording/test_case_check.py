@@ -57,6 +57,7 @@ def test_a_clean_case():
     assert check(CLEAN) == []
 
 
+@pytest.mark.slow
 def test_noise_is_estimated():
     for seed in range(4):
         noise = estimate_noise([run(seed=10 * seed + i) for i in range(6)])

@@ -197,6 +197,7 @@ def test_the_recordings_of_the_car_are_read_as_they_stand(tmp_path: Path) -> Non
     assert all(np.ptp(np.asarray(run.pose)[:, 0]) < 3 for run in case.runs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "groups"), [("car", {"circles", "ramp", "fast laps"}), ("robot", {None})])
 def test_the_recorded_vehicles_of_data_are_cases(name: str, groups: set[str | None]) -> None:
     case = load_case(DATA / name)

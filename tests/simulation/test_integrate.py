@@ -106,6 +106,7 @@ def test_derivatives_do_not_grow_while_the_board_rests(constraint):
         np.testing.assert_allclose(slope, expected, rtol=0, atol=2e-3 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 def test_a_stiff_board_may_rest_for_long():
     """Where what is stable at rest would take more steps than there are, the steps are longer."""
     model = Model(Board(**TABLE_II, creep_speed=1e-6), Pacejka(B=8.0, C=1.4, D=6.0, E=0.1), "free")

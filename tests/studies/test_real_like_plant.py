@@ -82,6 +82,7 @@ def test_a_tyre_that_grips_ever_more_leads_to_the_board_that_does_not_skid():
     assert away[0] / away[1] == pytest.approx(2.0, rel=0.1)
 
 
+@pytest.mark.slow
 def test_wheels_and_drags_take_energy_as_fast_as_their_forces_say():
     """Power of the plant against that of each force at its wheel, from vectors in the world; none is ever gained."""
     rng, dry = np.random.default_rng(0), {"longitudinal_slip.k": 0.6, "body_drag.c": 0.5, "yaw_damping.c": 0.02}

@@ -27,6 +27,7 @@ def constant(**values: float) -> Inputs:
     return Inputs({name: Sines.of([[value, 0.0, np.pi / 2]]) for name, value in values.items()})
 
 
+@pytest.mark.slow
 def test_the_linear_tyre_has_the_right_hand_side_of_commonroad_st() -> None:
     """CommonRoad's `st` is linear in steering angle, yaw rate and slip angle; it is the derivative of ours at 0."""
     tyre = Linear(C_S=STIFF, mu=BMW.tire.p_dy1)
@@ -62,6 +63,7 @@ def test_without_slip_the_motion_is_that_of_commonroad_ks() -> None:
         np.testing.assert_allclose(rates[3], 0.0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_force_works_without_slip() -> None:
     """The kinetic energy grows by the work of the driving force, the front wheels turning meanwhile."""
     inputs = Inputs({"steer": Sines.of([[0.4, 2.0, 0.3]]), "drive": Sines.of([[900.0, 1.0, 1.0]])})
@@ -75,6 +77,7 @@ def test_the_force_works_without_slip() -> None:
     np.testing.assert_allclose(energy - energy[0], work, rtol=0, atol=1e-6 * float(energy[0]))
 
 
+@pytest.mark.slow
 def test_the_magic_formula_under_load_is_that_of_commonroad() -> None:
     """Pure lateral slip of their `std` and `mb` models, without camber and shifts (E is constant there too)."""
     lateral = pytest.importorskip("vehiclemodels.utils.tire_model")

@@ -138,6 +138,7 @@ def steady(left: float, right: float, **other: float) -> tuple[float, float, flo
     return tuple(float(part[-1]) for part in found.state[0][3:6])
 
 
+@pytest.mark.slow
 def test_the_robot_drives_straight_without_slip() -> None:
     u, w, r = steady(0.8, 0.8)
     np.testing.assert_allclose((u, w, r), (0.8, 0.0, 0.0), atol=1e-6)
@@ -173,6 +174,7 @@ def test_the_ideal_robot_is_a_differential_drive() -> None:
     np.testing.assert_allclose(path, 2 * 0.4 / rate * np.sin(rate), rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_free_joint_has_its_rate() -> None:
     joint = Joint(jnp.asarray(0.1), jnp.asarray(0.2), jnp.asarray(0.0))
     model = Model(SprungRacer(**ROLLER_RACER), no_traction(), "free")

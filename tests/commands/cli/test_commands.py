@@ -242,6 +242,7 @@ def test_paper_rotate_turns_as_published(say, tmp_path: Path) -> None:
     assert (found["case"], found["model"], found["skid"]) == ("paper-rotate", "rayleigh", "coupled")
 
 
+@pytest.mark.slow
 def test_the_start_pose_moves_the_whole_path(say) -> None:
     def end(*more: str) -> np.ndarray:
         found = json.loads(say("simulate", "paper-forward", "--json", "-", *more).out)
@@ -345,6 +346,7 @@ def test_a_wrong_unit_is_refused_before_any_fit(say, short: Path, tmp_path: Path
     assert "is the unit of length right?, short-board, run train-forward-1: correct the unit" in said.err
 
 
+@pytest.mark.slow
 def test_fit_finds_the_answer(fitted: tuple[dict, Path]) -> None:
     """The values with which level-board was simulated, given C and E, lie within a few standard errors."""
     found, _ = fitted
@@ -380,6 +382,7 @@ def test_compare_says_where_it_fails(say, short: Path, tmp_path: Path) -> None:
     assert "option --against" in said.err
 
 
+@pytest.mark.slow
 def test_several_cases_and_one_that_is_wrong(say, short: Path, tmp_path: Path) -> None:
     values = "B=7.6,C=1.5,D=8.5,E=-0.1"
     said = say(
@@ -550,6 +553,7 @@ def test_the_inertia_of_a_recorded_board_follows_the_mass_that_is_swept(say):
     np.testing.assert_array_equal(json.loads(said.out)["end"]["heading_rad"], alone.heading.values[:, 0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "what"),
     [

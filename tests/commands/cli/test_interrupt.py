@@ -40,6 +40,7 @@ def test_an_interrupt_is_one_line_and_status_130(wait) -> None:
     assert re.fullmatch(r"snakejax: error: Interrupted[^\n]*\n", err), err
 
 
+@pytest.mark.slow
 def test_an_interrupt_that_a_callback_swallows_is_raised_again() -> None:
     """Python forgets what a callback of a library raises."""
     heard = signal.getsignal(signal.SIGINT)

@@ -77,6 +77,7 @@ def test_saved_models_of_a_car_are_judged_by_what_they_predict(car: Path, tmp_pa
     assert table["position_m"][0] == result["groups"]["train"]["base"]["1"]["position_m"]
 
 
+@pytest.mark.slow
 def test_a_prediction_that_cannot_be_made_is_one_line(car: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     assert main(["predict", str(car), "--from", str(tmp_path / "none.json")]) == 2
     assert "Cannot read the saved fit" in capsys.readouterr().err

@@ -61,6 +61,7 @@ def clock(monkeypatch) -> Clock:
     return made
 
 
+@pytest.mark.slow
 def test_of_several_cases_the_bar_is_over_the_cases(clock, monkeypatch) -> None:
     terminal = Terminal(monkeypatch)
     seen = []

@@ -12,6 +12,7 @@ from snakejax.recording.quality import clocks, lag
 from snakejax.recording.run import LogClock
 
 
+@pytest.mark.slow
 def test_a_given_clock_is_believed(tmp_path):
     case = load_case(logged_case(tmp_path / "case", "offset_s = -0.2, drift = -0.01"))
     raw = load_case(logged_case(tmp_path / "raw", "offset_s = -0.25"))
@@ -21,6 +22,7 @@ def test_a_given_clock_is_believed(tmp_path):
     np.testing.assert_allclose(case.runs[0].gait.psi.at(jnp.asarray(t)).angle, expected, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_motion_alone_tells_the_offset(tmp_path):
     """To some hundredths of a second, on every run: with its standard error of 0.05 s."""
     case = load_case(logged_case(tmp_path / "case", 'offset_s = "estimate"'))
@@ -30,6 +32,7 @@ def test_the_motion_alone_tells_the_offset(tmp_path):
         assert run.log.offset_sd < 0.08
 
 
+@pytest.mark.slow
 def test_clocks_that_start_at_different_epochs(tmp_path):
     folder = logged_case(tmp_path / "case", 'offset_s = "estimate"')
     path = folder / "train-arc-1-joints.csv"
@@ -41,6 +44,7 @@ def test_clocks_that_start_at_different_epochs(tmp_path):
     assert run.log.offset == pytest.approx(86400.4, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_log_of_another_run_is_said(tmp_path):
     folder = logged_case(tmp_path / "case", 'offset_s = "estimate"')
     log = folder / "train-rotate-1-joints.csv"
@@ -52,6 +56,7 @@ def test_a_log_of_another_run_is_said(tmp_path):
         load_case(folder)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("keys", "complaint"),
     [('offset_s = "guess"', "must be a number"), ("drift = 0.5", "but is 0.5"), ("offest_s = 1", 'write "offset_s"')],

@@ -56,6 +56,7 @@ def test_an_axis_that_does_not_point_forward_is_found(every_case, by):
         ]
 
 
+@pytest.mark.slow
 def test_no_clock_is_blamed_for_an_axis():
     case = load_case(DATA / "level-board")
     runs = tuple(turned(run, QUARTER) for run in case.runs)

@@ -58,6 +58,7 @@ def clean():
     return tracks
 
 
+@pytest.mark.slow
 def test_nothing_is_found_in_clean_recordings(clean):
     for track in clean:
         same, found = find_defects(track)
@@ -176,6 +177,7 @@ def spoiled_case(defect, size):
     return eqx.tree_at(lambda c: c.runs, case, runs), made
 
 
+@pytest.mark.slow
 def test_what_is_fitted_has_the_remedies_unless_as_recorded():
     case, made = spoiled_case(defects.swap, 80)
     seen = inspect(case)

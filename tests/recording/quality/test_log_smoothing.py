@@ -14,6 +14,7 @@ from snakejax.dynamics.signals import Logged
 from snakejax.recording.quality import smoothed
 
 
+@pytest.mark.slow
 def test_a_noisy_log_is_smoothed_and_a_clean_one_is_not():
     rng = np.random.default_rng(0)
     t = np.arange(0, 12, 0.005)
@@ -27,6 +28,7 @@ def test_a_noisy_log_is_smoothed_and_a_clean_one_is_not():
         assert np.std(good - exact) < 0.05 * np.std(raw - exact)
 
 
+@pytest.mark.slow
 def test_the_onset_of_a_joint_is_found():
     rng = np.random.default_rng(0)
     found = []

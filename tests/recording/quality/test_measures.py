@@ -106,6 +106,7 @@ def test_the_push_tells_the_measures_of_any_board(mass, length, constraint) -> N
         assert by_motion([Run("made", "train", times, pose + noise, GAIT)], board) == by_range(board) == []
 
 
+@pytest.mark.slow
 def test_clocks_apart_are_not_blamed_on_the_board() -> None:
     late = [Gait(Delayed(run.gait.phi, 0.25), Delayed(run.gait.psi, 0.25)) for run in LEVEL.runs]
     runs = [dataclasses.replace(run, gait=gait) for run, gait in zip(LEVEL.runs, late, strict=True)]
@@ -231,6 +232,7 @@ def test_the_boards_of_the_paper_are_not_doubted(name) -> None:
         assert said(case) == []
 
 
+@pytest.mark.slow
 def test_a_case_in_hertz_is_refused_before_any_fit(tmp_path, capsys) -> None:
     text = (DATA / "level-board" / "case.toml").read_text(encoding="utf-8")
     for given in ("4.0", "2.0", "3.0", "0.6", "2.1", "3.7", "4.3", "1.7", "2.9"):

@@ -196,6 +196,7 @@ def test_damaged_files(tmp_path, name, made):
         one_line(error)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REAL)
 @settings(few, max_examples=LONG or 6)
 @given(made=changes)

@@ -326,6 +326,7 @@ def test_objects_in_rows(tmp_path):
     np.testing.assert_allclose(capture.bodies["board"].position[:, :2], EXPECTED[1::2, :2])
 
 
+@pytest.mark.slow
 def test_parquet(tmp_path):
     pa = pytest.importorskip("pyarrow")
     import pyarrow.parquet as pq
@@ -499,12 +500,14 @@ def test_what_ezc3d_cannot_read_is_to_be_converted(tmp_path, kind):
     assert "open it in Mokka (of BTK) and save it as a new C3D or as TRC" in caught.value.remedy
 
 
+@pytest.mark.slow
 def test_a_cut_c3d_is_said_to_be_cut(tmp_path):
     pytest.importorskip("ezc3d")
     with pytest.raises(InputError, match=r"cut short|cannot be read|crashed"):
         read_capture(put(tmp_path, c3d(gappy(), NAMES)[:-500]))
 
 
+@pytest.mark.slow
 def test_the_same_trial_from_two_programs(realdata):
     """The Nexus CSV and the C3D of one trial agree to 0.01 mm, with the same gaps."""
     pytest.importorskip("ezc3d")
@@ -530,6 +533,7 @@ def test_real_exports(realdata):
     assert np.nanstd(apart) < 1e-3  # a marker stays where it is on its body
 
 
+@pytest.mark.slow
 def test_real_c3d_that_other_readers_fail_on(realdata):
     pytest.importorskip("ezc3d")
     capture = read_capture(realdata / "sample_static_optotrak.c3d")

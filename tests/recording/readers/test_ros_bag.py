@@ -110,6 +110,7 @@ def test_single_files_whatever_they_are_called(tmp_path, kind):
     np.testing.assert_allclose(read_track(plain, "/pose").pose, EXPECTED, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_bag_becomes_a_case(tmp_path):
     path = bag(tmp_path, "ros1")
     board = "mass_kg=7,rotor_inertia_kgm2=0.0238,wheelset_inertia_kgm2=0.001,half_length_m=0.25"

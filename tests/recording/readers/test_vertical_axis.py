@@ -75,6 +75,7 @@ def test_of_a_c3d_the_axis_is_believed_and_the_sign_is_found(tmp_path, screen, b
     assert ("is about a display" in capture.up_said) == (below != (screen[0] == "-"))
 
 
+@pytest.mark.slow
 def test_a_c3d_whose_sign_nothing_shows(tmp_path):
     pytest.importorskip("ezc3d")
     points = person() - [0.0, 0.0, 1.0]
