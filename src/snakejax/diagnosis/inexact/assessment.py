@@ -101,12 +101,15 @@ def assess(
     not among its effects, because these runs cannot choose."""
     criteria, scales = search.criteria, search.scales
     evidence = world(search, linear)
-    # Intervals count a force that the runs do not show, as far as it was estimated; predictions do without it.
+    # Intervals count a force that the runs do not show, as far as it was estimated; predictions do without it. A law
+    # was chosen by its form: where it stands for a random force, what it leaves may be too regular to be seen as one.
     wide = expected = predicting = linear.point.discrepancy
+    if evidence.has_force or laws:
+        wide = wide.enlarged(criteria.interval_force * scales.force, longest=criteria.shortest_force)
     if evidence.has_force:
-        wide = expected = wide.enlarged(criteria.interval_force * scales.force, longest=criteria.shortest_force)
+        expected = wide
     else:
-        expected = predicting = wide.without_force(scales.least_force)
+        expected = predicting = expected.without_force(scales.least_force)
     predicted = left_out(search, linear)
     sure = confidence(search, linear, predicted, laws)
     effects = tuple(sorted(sure, key=lambda effect: -sure[effect].cautious_fall))
