@@ -9,8 +9,10 @@ from helpers.folders import DATA
 
 import snakejax as sj
 from snakejax.commands.cli import main
+from snakejax.commands.requested_model import requested_model
 
 LEVEL = DATA / "level-board"
+SLOPE_Y = "effects.ground_slope.sy"
 GIVEN = ["--set", "B=7.6,C=1.5,D=8.5,E=-0.1", "--start", "0,0,0.3"]
 OWN = """
 import jax.numpy as jnp
@@ -78,6 +80,22 @@ def test_the_final_model_of_an_explanation_is_loaded(tmp_path: Path) -> None:
     model = sj.load_model(path)
     assert model.structure == "free" and list(model.effects) == ["ground_slope"]
     assert (float(model.effects["ground_slope"].sx), float(model.board.mass)) == (0.01, 7.2)
+
+
+def test_what_an_explanation_estimated_of_the_vehicle_is_used_in_another_case(tmp_path: Path) -> None:
+    constants = {"mass": {"value": 7.2, "sd": 0.1, "unit": "kg"}}
+    slope = {name: {"value": value, "sd": 1e-4, "unit": "rad"} for name, value in (("sx", 0.01), ("sy", -0.005))}
+    values = {"B": 7.6, "C": 1.5, "D": 8.5, "E": -0.1}
+    tyre = {name: {"value": value, "sd": 0.1, "unit": "-"} for name, value in values.items()}
+    final = {"model": "pacejka", "skid": "free", "parameters": tyre, "effects": {"ground_slope": slope}}
+    path = tmp_path / "explain.json"
+    path.write_text(
+        json.dumps({"final": {**final, "constants": constants}, "base": {}, "model": "pacejka", "skid": "coupled"})
+    )
+    requested = requested_model(sj.load_case(LEVEL), {"from_": path})
+    assert float(requested.model.board.mass) == 7.2
+    assert requested.freed(["B", "D"]) == ["tyre.B", "tyre.D"], "what the file has a value for is estimated if named"
+    assert set(requested.freed(None)) == {*(f"tyre.{n}" for n in values), "effects.ground_slope.sx", SLOPE_Y}
 
 
 @pytest.mark.slow

@@ -42,11 +42,13 @@ class ModelOptions(TypedDict, total=False):
 
 
 class RequestedModel(NamedTuple):
-    """The requested model; `held`, the names of its fixed parameters; `given`, of all parameters with a given value."""
+    """The requested model; `held`, the names of its fixed parameters; `given`, of all parameters with a given value;
+    `saved`, of those that have their value from a saved fit."""
 
     model: Model
     held: frozenset[str]
     given: frozenset[str]
+    saved: frozenset[str] = frozenset()
 
     @property
     def free(self) -> list[str]:
@@ -58,7 +60,8 @@ class RequestedModel(NamedTuple):
         if patterns is None:
             return self.free
         named = select_parameters(self.model, patterns)
-        return [*named, *(n for n in self.free if n.startswith("effects.") and n not in named)]
+        known = {*named, *self.saved}
+        return [*named, *(n for n in self.free if n.startswith("effects.") and n not in known)]
 
 
 def requested_model(subject: Case | Preset, options: ModelOptions) -> RequestedModel:
@@ -87,7 +90,8 @@ def requested_model(subject: Case | Preset, options: ModelOptions) -> RequestedM
     values = numbers_by_name(options.get("set"), "option --set")
     model = valued(model, values, "option --set")
     fixed = {select_parameters(model, [name])[0] for name in values}
-    return RequestedModel(model, frozenset(held | fixed), frozenset(given | fixed))
+    remembered = {f"effects.{e}.{p}" for e, parts in saved.effects.items() for p in parts} if saved else set()
+    return RequestedModel(model, frozenset(held | fixed), frozenset(given | fixed), frozenset(remembered))
 
 
 def require_given(requested: RequestedModel, own: bool, options: ModelOptions) -> None:

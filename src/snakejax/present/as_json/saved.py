@@ -15,8 +15,9 @@ from .values import EXPRESSION
 
 
 class SavedFit(NamedTuple):
-    """A saved fit: `values` of its parameters by short name, `effects` {effect: {parameter: value}}; the kind of the
-    `vehicle` and its constants, None in files of versions that did not write them; the `laws` among the effects."""
+    """A saved fit: `values` of its parameters by short name, of estimated constants too; `effects` {effect: {parameter:
+    value}}; the kind of the `vehicle` and its constants, None in files of versions that did not write them; the `laws`
+    among the effects."""
 
     model: str
     constraint: str
@@ -76,6 +77,8 @@ def _saved(result: dict[str, Any], path: Path | str) -> SavedFit:
     try:
         part = result.get("final") or result["base"]
         values = {name: float(entry["value"]) for name, entry in part["parameters"].items()}
+        # Constants that `explain` estimated belong to the saved model as its other parameters do.
+        values |= {f"board.{name}": float(entry["value"]) for name, entry in (part.get("constants") or {}).items()}
         effects = {
             effect: {name: float(entry["value"]) for name, entry in entries.items() if name != EXPRESSION}
             for effect, entries in (part.get("effects") or {}).items()
