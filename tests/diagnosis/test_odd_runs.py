@@ -80,3 +80,12 @@ def test_a_shift_of_a_logarithm_is_told_in_units() -> None:
     told = odd.in_units(Domain("N", 0.0, np.inf, positive=True, multiplicative=True), 5.0)
     assert (told.shift, told.sd) == pytest.approx((0.5, 0.1))
     assert odd.in_units(Domain("m", -np.inf, np.inf, positive=False, multiplicative=False), 5.0) == odd
+
+
+def test_a_parameter_that_no_run_shows_changes_nothing() -> None:
+    r, C, run = made_up(3, marker_offset__x=8.0)
+    shown = odd_runs(run_grams(r, C, run), RUNS, NAMES, FITTED)
+    unseen = np.column_stack([C, np.zeros(len(C)), C[:, 1]])
+    more = odd_runs(run_grams(r, unseen, run), RUNS, NAMES, (*FITTED, 5, 6))
+    assert [odd.run for odd in shown] == [odd.run for odd in more] == ["three"]
+    assert more[0].shift == pytest.approx(shown[0].shift, rel=1e-6)

@@ -32,7 +32,8 @@ def inputs(seconds: float, steer: float | None = None) -> Inputs:
 
 
 def recording(times: np.ndarray, pose: np.ndarray, gait: Inputs, group: str | None = None) -> Run:
-    return Run("lap", "heldout", jnp.asarray(times), jnp.asarray(pose), gait, moving=True, group=group)
+    labels = () if group is None else (("group", group),)
+    return Run("lap", "heldout", jnp.asarray(times), jnp.asarray(pose), gait, moving=True, labels=labels)
 
 
 @pytest.mark.slow

@@ -62,7 +62,7 @@ def test_the_json_has_the_law_and_a_saved_fit_gives_it_back(tmp_path: Path) -> N
     path.write_text(json.dumps(written))
     saved = saved_fit(path)
     assert saved.effects == {"law_1": VALUES}
-    assert saved.laws["law_1"].expression == EXPRESSION
+    assert saved.kinds["law_1"].expression == EXPRESSION
 
 
 def test_a_saved_law_that_is_none_is_refused(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import NamedTuple, Unpack
 
 from snakejax.core.errors import InputError, instead_of
+from snakejax.core.parameter import parameters
 from snakejax.core.progress import no_progress
 from snakejax.diagnosis.diagnosing import Diagnosis, DiagnosisOptions
 from snakejax.diagnosis.diagnosing import diagnose as diagnosed
@@ -23,6 +24,7 @@ from snakejax.recording.quality import noise_of
 from snakejax.recording.run import Case, Noise
 
 from .case_argument import sound_case, takes
+from .conditions import BY, changes
 from .fitting import FitOptions
 from .named_effects import EffectArguments, candidate_library
 from .option_texts import names, threshold
@@ -81,6 +83,9 @@ def explain(case: Case | Path | str, **options: Unpack[ExplainOptions]) -> Expla
 
 def explain_case(case: Case, options: ExplainOptions) -> Explanation:
     """The explanation of an inspected `case`. **Raises:** as `fit`."""
+    if key := options.get("by"):
+        what = f"`explain` adds physical effects, not what differs by {key}"
+        raise InputError(what, f"{BY} {key}", "rank what differs with `snakejax diagnose`, estimate it with `fit`")
     question = question_of(case, options)
     return explained(case, question.noise, question.library, **question.options)
 
@@ -102,10 +107,17 @@ def question_of(case: Case, options: ExplainOptions) -> Question:
         what = f"A diagnosis cannot start from the structure `{base.model.structure}`"
         where = "option --skid" if options.get("skid") or not options.get("from_") else "option --from"
         raise InputError(what, where, instead_of(base.model.structure, known))
-    library = candidate_library(options.get("effect"), options.get("without"), case.board)
     effects = dict(base.model.effects)
     usual = default_free(base.model)
-    freed = base.freed(names(options.get("free")))
+    if key := options.get("by"):
+        if not windows.supports(case):
+            what = f"What differs by {key} is searched for in windows of recordings only"
+            raise InputError(what, f"{BY} {key}", "leave it out, or estimate parameters by it with `snakejax fit`")
+        library, freed = dict(changes(base.model, case, key)), []
+        usual = [*usual, *(name for name in parameters(base.model) if name.startswith("board."))]
+    else:
+        library = candidate_library(options.get("effect"), options.get("without"), case.board)
+        freed = base.freed(names(options.get("free")))
     for name in freed:
         if name not in usual:
             what = f"`{name}` is not one of the parameters that the base can estimate"
@@ -114,7 +126,7 @@ def question_of(case: Case, options: ExplainOptions) -> Question:
         start=base.model,
         held=frozenset(usual) - frozenset(freed),
         with_=tuple(effects),
-        switch=LATERAL_SLIP_SWITCH not in _listed(options.get("without")),
+        switch=LATERAL_SLIP_SWITCH not in _listed(options.get("without")) and not key,
         threshold=threshold(options.get("robust")),
         progress=options.get("progress", no_progress),
     )

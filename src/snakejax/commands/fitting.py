@@ -13,6 +13,7 @@ from snakejax.recording.quality import noise_of
 from snakejax.recording.run import Case, Noise
 
 from .case_argument import sound_case, takes
+from .conditions import differing
 from .option_texts import names, threshold
 from .requested_model import ModelOptions, requested_model
 
@@ -21,11 +22,13 @@ class FitOptions(ModelOptions, total=False):
     """The options of `fit` and `compare`: those of the model, and those of the estimation.
 
     `free`: parameters to estimate, "B,C" or a list (default: all of the tyre and of the effects without a value);
+    `by`: "floor", "day", "session" or "group": each of them has a value of its own for each label of that kind;
     `robust`: Huber's loss: residuals above so many standard deviations count linearly (True: 3); `as_recorded`: use the
     recordings unchanged; `progress` is called with each `ProgressEvent`.
     """
 
     free: str | Sequence[str] | None
+    by: str | None
     robust: float | str | bool | None
     as_recorded: bool
     progress: Progress
@@ -48,9 +51,12 @@ def fit_case(case: Case, options: FitOptions) -> tuple[Fit, Noise]:
     requested = requested_model(case, options)
     noise = noise_of(case)
     free = requested.freed(names(options.get("free")))
+    model = requested.model
+    if key := options.get("by"):
+        model, free = differing(model, case, key, free)
     limit = threshold(options.get("robust"))
     progress = options.get("progress", no_progress)
-    return fit_logged(requested.model, case.runs, noise, free, threshold=limit, progress=progress), noise
+    return fit_logged(model, case.runs, noise, free, threshold=limit, progress=progress), noise
 
 
 @takes(FitOptions, as_recorded=False, progress=no_progress)

@@ -133,7 +133,7 @@ def saved_effects(
 ) -> tuple[OrderedDict[str, Effect], set[str], set[str]]:
     """The effects by name, the names of their fixed parameters, and of all with a given value."""
     remembered = dict(saved.effects) if saved else {}
-    built_in = {**library(vehicle), **{name: type(law) for name, law in (saved.laws if saved else {}).items()}}
+    built_in = {**library(vehicle), **(saved.kinds if saved else {})}
     effects: OrderedDict[str, Effect] = OrderedDict()
     held, given = set(), set()
     for name in [*remembered, *(n for n in named if n not in remembered)]:

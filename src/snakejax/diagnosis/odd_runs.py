@@ -8,13 +8,15 @@ from jaxtyping import Float
 from scipy import stats
 
 from snakejax.core.parameter import Domain
-from snakejax.estimation.discrepancy.least_squares import scaled_inverse
 
 LEVEL = 0.01
 """A run is odd where so large a statistic of any run and parameter has less than this probability by chance (Bonferroni
 over the runs and the parameters)."""
 TRAIN_RUNS = 3
 """Of two runs that differ nobody can say which is the odd one."""
+UNSHOWN = 1e-10
+"""A combination of parameters whose normal equations are smaller than this share of the largest is one that the runs do
+not show."""
 ALIKE = 4.0
 """Another parameter is named as well where its statistic is lower by less than this: a likelihood ratio of exp(2)."""
 
@@ -72,7 +74,7 @@ def odd_runs(
     normal = total[np.ix_(rows, rows)]
     if precision is not None:
         normal = normal + np.diag(precision[list(fitted)])
-    inverse = scaled_inverse(normal)
+    inverse = _pseudoinverse(normal)
     step = inverse @ total[rows, 0]
     shifts = []
     for run, one in zip(runs, gram, strict=True):
@@ -85,6 +87,13 @@ def odd_runs(
             parameter = list(names)[best]
             shifts.append(OddRun(run, parameter, shift, sd, p, tuple(name for name in near if name != parameter)))
     return tuple(sorted(shifts, key=lambda odd: odd.p_value))
+
+
+def _pseudoinverse(normal: np.ndarray) -> np.ndarray:
+    """The inverse of a semidefinite matrix, scaled to a unit diagonal; what the runs do not show takes no step."""
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scaled = normal / np.outer(size, size)
+    return np.linalg.pinv(scaled, rcond=UNSHOWN, hermitian=True) / np.outer(size, size)
 
 
 def _score(gram: np.ndarray, rows: np.ndarray, inverse: np.ndarray, step: np.ndarray, k: int) -> tuple[float, ...]:

@@ -10,3 +10,5 @@ TYRE_STRUCTURES = (*CASE_STRUCTURES, "printed")
 """Constraint structures with a tyre law."""
 STRUCTURES = (*TYRE_STRUCTURES, "ideal")
 """All constraint structures of the snakeboard."""
+LABELS = ("group", "floor", "day", "session")
+"""What the runs of a case can be labelled with."""

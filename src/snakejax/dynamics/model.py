@@ -10,6 +10,7 @@ import numpy as np
 
 from snakejax.core.parameter import Scalar
 
+from .conditions import ByCondition
 from .constraints import AbstractConstraint
 from .contact import AppliedForces, Configuration, Motion, Velocities, Wheel, combined_slip, slip_angle
 from .inputs import AbstractInputs, Commanded
@@ -103,6 +104,13 @@ class Model(eqx.Module):
     def with_traced_payload(self, payload: Any) -> "Model":
         """`with_payload` in a compiled function, where it is not known whether there is any."""
         return eqx.tree_at(lambda model: model.board, self, self.board.with_payload(*payload))
+
+    def in_run(self, payload: Any, codes: Any) -> "Model":
+        """This model as it is in a run with this `payload` (2,) and the labels `codes` (4,), which may be traced."""
+        model = self
+        for effect in self.effects_of(ByCondition):
+            model = effect.applied(model, codes)
+        return model.with_traced_payload(payload)
 
     def effects_of(self, port: type[E]) -> list[E]:
         """The effects of one port, in the order of their `order`, then of the model."""

@@ -20,10 +20,10 @@ class Batch(eqx.Module):
     """`R` runs of `n` samples each; shorter runs are padded with samples of weight zero.
 
     `times` (R, n) [s]; `pose` (R, n, 3): x, y [m] and unwrapped heading [rad], zero where a sample is missing;
-    `weight` (R, n, 3): 1 / standard deviation of the noise, zero where a sample is missing; `payload` (R, 2);
-    `start` (R, S): first guess of the start state; `free_start` (R, S): 1 where a component is estimated, else 0.
-    S is 3 (pose) where all runs start at rest, else 6 (pose and velocities). `whitening` (R, n, 3, q): the matrix K of
-    `whitened`, None where no run has a `wander`.
+    `weight` (R, n, 3): 1 / standard deviation of the noise, zero where a sample is missing; `payload` (R, 2); `codes`
+    (R, 4): the labels of the runs; `start` (R, S): first guess of the start state; `free_start` (R, S): 1 where a
+    component is estimated, else 0. S is 3 (pose) where all runs start at rest, else 6 (pose and velocities).
+    `whitening` (R, n, 3, q): the matrix K of `whitened`, None where no run has a `wander`.
     """
 
     times: Float[Array, "R n"]
@@ -31,6 +31,7 @@ class Batch(eqx.Module):
     weight: Float[Array, "R n 3"]
     gait: AbstractInputs
     payload: Float[Array, "R 2"]
+    codes: Float[Array, "R 4"]
     start: Float[Array, "R S"]
     free_start: Float[Array, "R S"]
     whitening: Float[Array, "R n 3 q"] | None = None
@@ -75,6 +76,7 @@ def batch(runs: Sequence[Run], noise: Noise) -> Batch:
         jnp.asarray(np.array(weight)),
         stacked_gaits([run.gait for run in runs], float(max(t[-1] for t in times))),
         jnp.stack([jnp.asarray(run.payload) for run in runs]),
+        jnp.asarray(np.array([run.codes for run in runs])),
         jnp.asarray(start),
         jnp.asarray(free, jnp.float64),
         whitening([run.wander for run in runs], np.array(weight)),

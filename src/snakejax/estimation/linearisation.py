@@ -103,9 +103,9 @@ def widened(linearised: Linearised, missing: int, kept: int) -> Linearised:
 def _run_residual(model, names, values, start, batch: Batch, accuracy: Accuracy):
     """Residual (n, 3) of one run; `batch` without its leading axis."""
     at_values = with_parameters(model, {name: values[k] for k, name in enumerate(names)})
-    with_payload = at_values.with_traced_payload(batch.payload)
+    in_run = at_values.in_run(batch.payload, batch.codes)
     how = {"accuracy": accuracy, "throw": False, "resting": batch.resting}
-    pose = simulate(with_payload, batch.gait, batch.times, start, **how).pose
+    pose = simulate(in_run, batch.gait, batch.times, start, **how).pose
     return whitened(jnp.where(batch.weight > 0, (batch.pose - pose) * batch.weight, 0.0), batch.whitening)
 
 

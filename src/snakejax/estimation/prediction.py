@@ -105,6 +105,7 @@ def _window(
     at, poses = np.concatenate([times[led], every]), np.concatenate([pose[led], np.full((len(every), 3), np.nan)])
     name = f"{recording.name}@{origin:.2f}"
     run = Run(name, recording.role, jnp.asarray(at), jnp.asarray(poses), inputs, recording.payload, True)
+    run = dataclasses.replace(run, labels=recording.labels)
     return PredictionWindow(group_of(recording), run, len(led), known, measured, np.ones(3))
 
 

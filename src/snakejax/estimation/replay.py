@@ -51,12 +51,13 @@ def batch_of_runs(runs: Sequence[Run], starts: Float[np.ndarray, "R S"]) -> Batc
 
 @eqx.filter_jit
 def _replay(model: Model, runs: Batch, starts: Float[np.ndarray, "R S"]):
-    def replay_run(times, gait, payload, start, resting):
-        with_payload = model.with_traced_payload(payload)
-        done = simulate(with_payload, gait, times, start, accuracy=ACCURACY, throw=False, resting=resting)
+    def replay_run(times, gait, payload, codes, start, resting):
+        in_run = model.in_run(payload, codes)
+        done = simulate(in_run, gait, times, start, accuracy=ACCURACY, throw=False, resting=resting)
         return done.pose, done.finished
 
-    return jax.lax.map(lambda run: replay_run(*run), (runs.times, runs.gait, runs.payload, starts, runs.resting))
+    each = (runs.times, runs.gait, runs.payload, runs.codes, starts, runs.resting)
+    return jax.lax.map(lambda run: replay_run(*run), each)
 
 
 def fitted_starts(fit: Fit) -> Float[np.ndarray, "R S"]:

@@ -15,7 +15,7 @@ from snakejax.core.jax_config import require_x64
 from snakejax.core.parameter import Domain
 from snakejax.core.toml_table import Table, read_toml, require_filled_in
 from snakejax.dynamics.inputs import AbstractInputs
-from snakejax.dynamics.kinds import CASE_STRUCTURES
+from snakejax.dynamics.kinds import CASE_STRUCTURES, LABELS
 from snakejax.dynamics.vehicle import AbstractVehicle
 from snakejax.vehicles.snakeboard.board import Board
 
@@ -62,7 +62,7 @@ PAYLOAD_KEYS = {"payload_kg": "kg", "payload_inertia_kgm2": "kg m^2"}
 RUN_KEYS = (
     "name",
     "role",
-    "group",
+    *LABELS,
     "mocap",
     "object",
     *ANNOTATION_KEYS,
@@ -72,6 +72,8 @@ RUN_KEYS = (
     "start",
 )
 """Keys of a run beside those of its inputs."""
+
+LABEL_EXAMPLES = {"group": "circles", "floor": "rubber", "day": "2024-09-04", "session": "morning"}
 
 LOOSE_CLOCK = 0.5
 """A log whose clock is yet to be fitted may end so much [s] before the run."""
@@ -162,17 +164,16 @@ def _of_files(row: Table, folder: Path, vehicle: AbstractVehicle) -> tuple[list[
 
 
 def _made(piece: _Piece, folder: Path, gait: AbstractInputs, vehicle: AbstractVehicle) -> Run:
-    """The run of a piece, with its group."""
-    row, group = piece.row, None
-    if "group" in row.values:
-        group = row.text("group", 'group = "circles"')
+    """The run of a piece, with its labels."""
+    row = piece.row
+    labels = tuple((key, row.text(key, f'{key} = "{LABEL_EXAMPLES[key]}"')) for key in LABELS if key in row.values)
     if piece.cut is None:
         assert piece.track is not None
-        return dataclasses.replace(_run(row, folder, piece.track, gait, vehicle), group=group)
+        return dataclasses.replace(_run(row, folder, piece.track, gait, vehicle), labels=labels)
     cut = piece.cut
     times, pose, payload = (jnp.asarray(part, jnp.float64) for part in (cut.times, cut.pose, _payload(row)))
     source = cut.name.split("@")[0]
-    run = Run(cut.name, row.values["role"], times, pose, gait, payload, True, group=group)
+    run = Run(cut.name, row.values["role"], times, pose, gait, payload, True, labels=labels)
     return run if source == cut.name else dataclasses.replace(run, cut_from=source)
 
 

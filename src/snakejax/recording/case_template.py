@@ -61,6 +61,9 @@ mocap = "train-1.csv"               # Vicon CSV, C3D, TRC, Motive CSV, Qualisys 
 object = "board:board"              # its name in the file, in Vicon's subject:segment
 # name = "first-lap"                # of the run; left out: the file's stem
 # group = "circles"                 # `snakejax predict` tells its errors for each group; left out: the role
+# floor = "rubber"                  # `snakejax fit --by floor` estimates values of their own for each floor,
+# day = "2024-09-04"                # day
+# session = "morning"               # or session
 # What some files do not say; leave out what yours does. Of a plain table, the columns, in SI units or those given:
 # columns = {time = "t", x = "pos x", y = "pos y", heading = "yaw"}
 # units = {length = "mm", angle = "deg", time = "ms"}

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from snakejax.core.parameter import Scalar
 from snakejax.core.tabular import counted
+from snakejax.dynamics.conditions import codes_of
 from snakejax.dynamics.inputs import AbstractInputs
 from snakejax.dynamics.vehicle import AbstractVehicle
 
@@ -41,7 +42,8 @@ class Run(eqx.Module):
     A run that is `moving` was already under way at its first sample `times[0]`; any other starts at rest at time 0.
     `log`, where its joints were logged, is how the log's clock goes; the gait is on the cameras' already. `wander`
     (n, 3, q): where that log has noise, the model's pose is off by wander z with z standard normal, in m and rad.
-    A window of a longer run is `cut_from` the run of that name. Errors of predictions are reported for each `group`.
+    A window of a longer run is `cut_from` the run of that name. `labels`: key and label of what it is labelled with, as
+    in ("floor", "rubber"). Errors of predictions are reported for each `group`.
     """
 
     name: str = eqx.field(static=True)
@@ -54,7 +56,7 @@ class Run(eqx.Module):
     log: LogClock | None = eqx.field(static=True, default=None)
     wander: Float[Array, "n 3 q"] | None = None
     cut_from: str | None = eqx.field(static=True, default=None)
-    group: str | None = eqx.field(static=True, default=None)
+    labels: tuple[tuple[str, str], ...] = eqx.field(static=True, default=())
 
     def __repr__(self) -> str:
         """`Run lap-3: train, 120 frames in 6 s`."""
@@ -62,6 +64,16 @@ class Run(eqx.Module):
         if isinstance(self.times, jax.core.Tracer) or self.times.ndim != 1 or not self.times.size:
             return f"Run {self.name}: {self.role}, {frames}"
         return f"Run {self.name}: {self.role}, {frames} in {float(self.times[-1] - self.times[0]):.3g} s"
+
+    @property
+    def group(self) -> str | None:
+        """The group of the run, where it has one."""
+        return dict(self.labels).get("group")
+
+    @property
+    def codes(self) -> Float[np.ndarray, "4"]:
+        """The labels as numbers."""
+        return codes_of(dict(self.labels))
 
     @property
     def recorded_as(self) -> str:

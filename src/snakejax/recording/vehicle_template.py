@@ -28,6 +28,9 @@ _MORE = """\
 # windows at gaps, at most so many of a file, chosen so that slow and fast, steady and varying ones are among them:
 # files = "day1_*.csv"              # or a list of patterns
 # group = "circles"                 # `snakejax predict` tells its errors for each group; left out: the role
+# floor = "rubber"                  # `snakejax fit --by floor` estimates values of their own for each floor,
+# day = "2024-09-04"                # day
+# session = "morning"               # or session
 # windows = {{length_s = 1.5, most = 20, rate_hz = 20.0}}
 # inputs = {{{mapped}, stamp = "clock of the sender", enable = "safety"}}
 # kind = "commanded"                # held until the next message; or "measured"

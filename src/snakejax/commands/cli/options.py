@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from snakejax.core.errors import InputError
-from snakejax.dynamics.kinds import MODEL_KINDS, STRUCTURES
+from snakejax.dynamics.kinds import LABELS, MODEL_KINDS, STRUCTURES
 
 from ..option_texts import EffectSpec as EffectSpec
 from ..option_texts import assignments as assignments
@@ -111,6 +111,9 @@ def add_fitting(command: Any) -> Any:
         "--free", metavar="B,C,D,E", help="parameters to estimate (default: all of the tyre and the effects)"
     )
     group.add_argument(
+        "--by", choices=LABELS, help="give them values of their own for each floor, day, session or group of runs"
+    )
+    group.add_argument(
         "--robust",
         metavar="SD",
         nargs="?",
@@ -141,6 +144,7 @@ def model_options(options: argparse.Namespace) -> dict[str, Any]:
         "with_": options.with_,
         "from_": options.saved,
         "free": getattr(options, "free", None),
+        "by": getattr(options, "by", None),
         "robust": getattr(options, "robust", None),
     }
 

@@ -1,7 +1,7 @@
 """The model with every candidate effect, the tyre and the constants of the vehicle as parameters with priors."""
 
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -36,11 +36,17 @@ class CandidateModel(NamedTuple):
 
 
 def movable_parameters(
-    model: Model, tyre: Sequence[str], candidates: Mapping[str, Sequence[str]], base: Sequence[str]
+    model: Model,
+    tyre: Sequence[str],
+    candidates: Mapping[str, Sequence[str]],
+    base: Sequence[str],
+    held: Collection[str] = (),
 ) -> tuple[str, ...]:
-    """The parameters of a `CandidateModel` in their order: tyre, constants, effects of the `base`, other effects."""
+    """The parameters of a `CandidateModel` in their order: tyre, constants that are not `held`, effects of the `base`,
+    other effects."""
     effects = [*base, *(effect for effect in candidates if effect not in base)]
-    return (*tyre, *constant_sd(model, {}), *(name for effect in effects for name in candidates[effect]))
+    constants = (name for name in constant_sd(model, {}) if name not in held)
+    return (*tyre, *constants, *(name for effect in effects for name in candidates[effect]))
 
 
 def candidate_model(
@@ -50,14 +56,15 @@ def candidate_model(
     base: Sequence[str],
     scales: Scales,
     stated_sd: Mapping[str, float],
+    held: Collection[str] = (),
 ) -> CandidateModel:
     """`model`, which holds all `candidates` {effect: parameter names}, with priors from `scales` and `stated_sd`.
 
-    The effects `base` are always in the model.
+    The effects `base` are always in the model; constants of the vehicle that are `held` keep their value.
     """
     known = parameters(model)
-    constants = constant_sd(model, stated_sd)
-    names = movable_parameters(model, tyre, candidates, base)
+    constants = {name: sd for name, sd in constant_sd(model, stated_sd).items() if name not in held}
+    names = movable_parameters(model, tyre, candidates, base, held)
     always = len(tyre) + len(constants) + sum(len(candidates[effect]) for effect in base)
     sd = {name: tyre_sd(known[name].domain) for name in tyre} | constants
     sd |= {name: effect_sd(known[name].domain, model, scales) for name in names if name not in sd}

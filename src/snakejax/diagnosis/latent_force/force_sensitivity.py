@@ -67,7 +67,7 @@ def linearise_in_force(model: Model, at: Variables, batch: Batch, grid, knots):
             values = retract(domains, at, p)
             at_values = with_parameters(model, {name: values[k] for k, name in enumerate(at.names)})
             h = jnp.asarray(SPACING)
-            driven = at_values.with_traced_payload(piece.payload).add(
+            driven = at_values.in_run(piece.payload, piece.codes).add(
                 free_force=FreeForce(first, h, force + f.reshape(K, 3)), free_grip=FreeGrip(first, h, g.reshape(K, 2))
             )
             how = {"accuracy": ACCURACY, "throw": False, "resting": piece.resting}

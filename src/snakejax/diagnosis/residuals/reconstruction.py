@@ -149,8 +149,9 @@ def reconstruct_forces(fitted: FittedModel, scene: RunReplay) -> ReconstructedFo
         lambda a: np.concatenate([a[kept], np.repeat(a[-1:], extra, axis=0)]),
         (scene.times, scene.states, np.nan_to_num(shift), np.nan_to_num(sd)),
     )
+    in_run = model.in_run(run.payload, run.codes)
     viscous = isinstance(model.tyre.of_axle("front"), Rayleigh)
-    reconstruction = _slip_and_force(model, run.gait, run.payload, times, states, shift, sd, viscous)
+    reconstruction = _slip_and_force(in_run, run.gait, times, states, shift, sd, viscous)
     slip, force, error, speed = (np.asarray(part)[: usable.size] for part in reconstruction)
     clear = usable[:, None] & (speed > slowest) & (error > 0)
     modelled = (scene.slip_speed if viscous else scene.slip)[kept]
@@ -160,9 +161,8 @@ def reconstruct_forces(fitted: FittedModel, scene: RunReplay) -> ReconstructedFo
 
 
 @eqx.filter_jit
-def _slip_and_force(model: Model, gait, payload, times, states, shift, sd, viscous: bool):
+def _slip_and_force(model: Model, gait, times, states, shift, sd, viscous: bool):
     """Slip and force at each instant, the force's standard deviation, and the speed."""
-    model = model.with_traced_payload(payload)
     board = model.effective_vehicle()
     places = [wheelset.place for wheelset in board.wheelsets]
     size = jnp.stack([board.mass, board.mass, board.total_inertia / board.length])

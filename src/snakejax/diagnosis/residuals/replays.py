@@ -134,7 +134,7 @@ def _placed(
 
 @eqx.filter_jit
 def _played(model, batch, start, accuracy):
-    model = model.with_traced_payload(batch.payload)
+    model = model.in_run(batch.payload, batch.codes)
     done = simulate(model, batch.gait, batch.times, start, accuracy=accuracy, resting=batch.resting)
     motion, force = motions(model, batch.gait, done)
     return motion, force, done.pose, done.state

@@ -1,7 +1,7 @@
 """Explaining recordings of which many short windows are given: a real vehicle that nobody set down at rest."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import NamedTuple, Unpack
 
 import numpy as np
@@ -95,7 +95,8 @@ def _window_question(
         CandidateSet.of(model, case, noise, library, switched=k > 0, criteria=criteria, how=how)
         for k, model in enumerate(options)
     )
-    return WindowQuestion(sets, tuple(window_search(case, noise, one, with_, progress) for one in sets), with_)
+    searches = tuple(window_search(case, noise, one, with_, progress, how.held) for one in sets)
+    return WindowQuestion(sets, searches, with_)
 
 
 def diagnose_windows(
@@ -138,13 +139,20 @@ def explain_windows(
 
 
 def window_search(
-    case: Case, noise: Noise, candidate_set: CandidateSet, with_: tuple[str, ...], progress: Progress
+    case: Case,
+    noise: Noise,
+    candidate_set: CandidateSet,
+    with_: tuple[str, ...],
+    progress: Progress,
+    held: Collection[str] = (),
 ) -> WindowSearch:
-    """The search under the structure of `candidate_set`, in which the effects `with_` are always present."""
+    """The search under the structure of `candidate_set`, in which the effects `with_` are always present and the
+    constants `held` keep their value."""
     model, train = candidate_set.problem.model, case.having("train")
     scales = Scales(np.asarray(noise.channels), window_force(model, train))
-    candidates = candidate_model(model, candidate_set.tyre, candidate_set.candidates, with_, scales, case.constant_sd)
-    names = movable_parameters(model, candidate_set.tyre, candidate_set.candidates, with_)
+    parts = candidate_set.tyre, candidate_set.candidates, with_
+    candidates = candidate_model(model, *parts, scales, case.constant_sd, held)
+    names = movable_parameters(model, *parts, held)
     problem = Problem.of(model, case.runs, noise, names, min(WIDTH, len(names)))
     windows = problem.run_indices("train")
     recording = recordings_of([case.runs[k].recorded_as for k in windows])

@@ -1,30 +1,33 @@
 """Reading of saved fits."""
 
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from snakejax.core.errors import InputError, at_line
+from snakejax.dynamics.conditions import FURTHEST, Difference, by_condition
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.dynamics.kinds import MODEL_KINDS, STRUCTURES
 from snakejax.dynamics.law import Law, law
+from snakejax.dynamics.ports import Effect
 
-from .values import EXPRESSION
+from .values import EXPRESSION, LABEL
 
 
 class SavedFit(NamedTuple):
     """A saved fit: `values` of its parameters by short name, of estimated constants too; `effects` {effect: {parameter:
-    value}}; the kind of the `vehicle` and its constants, None in files of versions that did not write them; the `laws`
-    among the effects."""
+    value}}; the kind of the `vehicle` and its constants, None in files of versions that did not write them; the `kinds`
+    of effects that the file itself defines: laws, and differences by condition."""
 
     model: str
     constraint: str
     values: dict[str, float]
     effects: dict[str, dict[str, float]]
     vehicle: tuple[str, dict[str, float]] | None = None
-    laws: Mapping[str, Law] = MappingProxyType({})
+    kinds: Mapping[str, type[Effect]] = MappingProxyType({})
 
 
 def saved_fit(path: Path | str) -> SavedFit:
@@ -84,14 +87,12 @@ def _saved(result: dict[str, Any], path: Path | str) -> SavedFit:
             for effect, entries in (part.get("effects") or {}).items()
             if effect != LATERAL_SLIP_SWITCH  # It is the structure.
         }
-        laws = {
-            effect: _law(entries) for effect, entries in (part.get("effects") or {}).items() if EXPRESSION in entries
-        }
+        kinds = {effect: kind for effect, entries in (part.get("effects") or {}).items() if (kind := _kind(entries))}
         kind, structure = part.get("model", result["model"]), part.get("skid", result["skid"])
         vehicle = part.get("vehicle", result.get("vehicle"))
         if vehicle is not None:
             vehicle = vehicle["kind"], {name: float(c["value"]) for name, c in vehicle["constants"].items()}
-        saved = SavedFit(kind, structure, values, effects, vehicle, laws)
+        saved = SavedFit(kind, structure, values, effects, vehicle, kinds)
     except (KeyError, TypeError, AttributeError, ValueError):
         raise InputError("The file does not hold a fit", str(path), _REMEDY) from None
     if saved.model not in MODEL_KINDS or saved.constraint not in STRUCTURES:
@@ -99,6 +100,21 @@ def _saved(result: dict[str, Any], path: Path | str) -> SavedFit:
             f"The saved model is `{saved.model}`, `{saved.constraint}`, which no fit has", str(path), _REMEDY
         )
     return saved
+
+
+def _kind(entries: Mapping[str, Any]) -> type[Effect] | None:
+    """The class of effects that `entries` of a result define; None where they name one of a library."""
+    if EXPRESSION in entries:
+        return type(_law(entries))
+    if not any(isinstance(entry, Mapping) and LABEL in entry for entry in entries.values()):
+        return None
+    key = {str(entry["by"]) for entry in entries.values()}.pop()
+    limits = (FURTHEST**-1, FURTHEST), (-math.inf, math.inf)
+    differences = tuple(
+        Difference(field, tuple(one["of"]), one[LABEL], one["ratio"], one["unit"], *limits[0 if one["ratio"] else 1])
+        for field, one in entries.items()
+    )
+    return by_condition(key, differences)
 
 
 def _law(entries: Mapping[str, Any]) -> Law:

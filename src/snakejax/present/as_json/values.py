@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from snakejax.core.parameter import parameters
+from snakejax.dynamics.conditions import ByCondition
 from snakejax.dynamics.law import Law
 from snakejax.dynamics.model import Model
 from snakejax.estimation.goodness_of_fit import RunScore, Score
@@ -21,6 +22,8 @@ from snakejax.estimation.uncertainty import Estimate
 Json = dict[str, Any]
 EXPRESSION = "expression"
 """The key of the formula of a law, beside its parameters."""
+LABEL = "label"
+"""The key of the label of the runs in which a parameter of an effect by condition acts."""
 
 
 def clean(value: Any) -> Any:
@@ -98,6 +101,10 @@ def effects_json(parts: Mapping[str, Json], model: Model) -> Json:
     for name, effect in model.effects.items():
         if isinstance(effect, Law):
             grouped[name][EXPRESSION] = effect.expression
+        if isinstance(effect, ByCondition):
+            for one in effect.differences:
+                where = {"by": effect.key, LABEL: one.label, "of": list(one.names), "ratio": one.relative}
+                grouped[name][one.field] = grouped[name].get(one.field, {}) | where
     return grouped
 
 
