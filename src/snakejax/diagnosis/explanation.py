@@ -105,6 +105,7 @@ class Explanation(Tabular):
     the `remainder` above it; the `candidates` of every step; and the `constants` of the vehicle, by name, which were
     estimated within what is known of them. `bands`: the predictive check of each run; `odd_runs`: train runs that
     differ from the others. `law`: the force in which a law among the effects was found, None without one.
+    `calibrated`: where nothing was added, the base with the constants of the vehicle as they were estimated.
     """
 
     case: Case
@@ -125,6 +126,7 @@ class Explanation(Tabular):
     bands: tuple[RunBand, ...] = ()
     odd_runs: tuple[OddRun, ...] = ()
     law: LatentForce | None = None
+    calibrated: SelectionStep | None = None
 
     @property
     def base(self) -> SelectionStep:
@@ -133,8 +135,8 @@ class Explanation(Tabular):
 
     @property
     def final(self) -> SelectionStep:
-        """The fit with all that was added."""
-        return self.steps[-1]
+        """The fit with all that was added, and with the constants of the vehicle as they were estimated."""
+        return self.steps[-1] if self.calibrated is None else self.calibrated
 
     @property
     def of_windows(self) -> bool:
@@ -151,7 +153,7 @@ class Explanation(Tabular):
         verdict = self.verdict + (f" by {listed(self.effects)}" if self.effects and self.verdict == "explained" else "")
         beside = f" but for {listed(self.effects)}" if self.effects and self.verdict == "unexplained" else ""
         helped = f"; {listed(self.partial)} helped" if self.partial else ""
-        ends = [self.base] if len(self.steps) == 1 else [self.base, self.final]
+        ends = [self.base] if self.final is self.base else [self.base, self.final]
         error = " -> ".join(three_digits(step.train.times_noise) for step in ends)
         return f"{verdict}{beside}; {error} times the noise{helped}; {self.base.fitted.runs_text}"
 

@@ -23,6 +23,7 @@ from .laws import LawChoice, choose_law
 from .left_out import with_predicting_effects
 from .revision import search_effects
 from .search import Search
+from .steps import calibrated
 
 
 def supports(candidate_set: CandidateSet) -> bool:
@@ -70,6 +71,9 @@ def explanation_of(
     """The explanation with the effects of `assessment`, which the `steps` from the base on add; `explained`: whether
     held-out runs are as it predicts them."""
     base, final = steps[0], steps[-1]
+    better = calibrated(assessment) if final is base else None
+    if better is not None and better.train.misfit < base.train.misfit:
+        final = better
     claimed = tuple(effect for effect in final.effects if effect not in base.effects)
     verdict = ("explained" if claimed else "adequate") if explained else "unexplained"
     noise_floor = PoseError(
@@ -96,6 +100,7 @@ def explanation_of(
         constants=_constants(final),
         bands=assessment.bands,
         odd_runs=assessment.odd_runs,
+        calibrated=None if final is steps[-1] else final,
     )
 
 

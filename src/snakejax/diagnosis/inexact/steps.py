@@ -43,6 +43,12 @@ def steps_of(assessment: Assessment) -> list[SelectionStep]:
     return steps
 
 
+def calibrated(assessment: Assessment) -> SelectionStep:
+    """The base of `assessment`, to which nothing was added, with the constants of the vehicle as estimated."""
+    step = _step(assessment, "", (), _fitted(assessment, (), None))
+    return dataclasses.replace(step, change="base")
+
+
 class _FittedStep(NamedTuple):
     """A model with some of the effects in whole train runs, at `known` values of all parameters by name."""
 

@@ -39,7 +39,8 @@ def _causes(explanation: Explanation) -> Iterator[str]:
     final = explanation.final
     doubt = "" if final.converged else f" (its fit {NOT_CONVERGED})"
     if explanation.verdict == "adequate":
-        yield "None: the base model explains the recordings."
+        constants = "" if explanation.calibrated is None else f" with {values_text(explanation.constants)}"
+        yield f"None: the base model explains the recordings{constants}."
         return
     if explanation.verdict == "unexplained":
         yield UNDECIDED
@@ -65,7 +66,7 @@ def _missing(force: LatentForce) -> str:
 
 def _error(explanation: Explanation) -> str:
     base, final = explanation.base.train, explanation.final.train
-    if len(explanation.steps) == 1:
+    if explanation.final is explanation.base:
         return f"{error_text(base)}."
     return f"from {error_text(base)} to {error_text(final)}."
 
@@ -75,7 +76,7 @@ def _validation(explanation: Explanation) -> str:
     if final.heldout is None or base.heldout is None:
         return "None: no run is held out."
     runs = counted(len(final.fitted.numbered("heldout")), "held-out run")
-    if len(explanation.steps) == 1:
+    if explanation.final is explanation.base:
         return f"{runs}, not used in the fit: {error_text(final.heldout)}."
     return f"{runs}, not used in the fit: from {error_text(base.heldout)} to {error_text(final.heldout)}."
 
