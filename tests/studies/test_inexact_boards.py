@@ -142,3 +142,16 @@ def test_five_moderate_effects_of_an_exact_board_are_found_together() -> None:
     for name, effect in hidden.items():
         for part, estimate in found.final.estimates_of(name).items():
             assert abs(estimate.value - float(getattr(effect, part))) < 4 * estimate.sd
+
+
+def test_a_wrong_constant_is_corrected_and_no_effect_stands_in_for_it() -> None:
+    case = recorded({}, 4)
+    found = explain(
+        case, case.noise, {name: LIBRARY[name]() for name in ("rotor_gain", "stribeck_grip", "clock_offset")}
+    )
+    assert (found.verdict, found.effects, len(found.steps)) == ("adequate", (), 1)
+    assert found.base.heldout.misfit > 10
+    assert found.final.heldout.misfit < 1.2
+    for name, true in (("mass", 6.8), ("inertia", 0.42), ("rotor_inertia", 0.0232)):
+        estimate = found.constants[name]
+        assert abs(estimate.value - true) < 3 * estimate.sd
