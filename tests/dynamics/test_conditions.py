@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from snakejax import TABLE_II, Board, Gait, Model, Pacejka, Run, Sines, simulate
+from snakejax import TABLE_II, Board, Gait, InputError, Model, Pacejka, Run, Sines, simulate
 from snakejax.core.parameter import parameters
 from snakejax.dynamics.conditions import FURTHEST, by_condition, codes_of, differences_of
 from snakejax.dynamics.kinds import LABELS
@@ -72,3 +72,8 @@ def test_a_parameter_that_the_model_lacks_is_refused() -> None:
     other = by_condition("floor", (grip._replace(names=("tyre.front.D",)),))()
     with pytest.raises(ValueError, match=r"no parameter `tyre\.front\.D`"):
         model().add(by_floor=other)
+
+
+def test_labels_that_give_one_name_are_refused() -> None:
+    with pytest.raises(InputError, match="differ in punctuation alone"):
+        by_condition("floor", differences_of(model(), ["tyre.D"], ["wet floor", "wet-floor"]))

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from snakejax.core.errors import InputError
 from snakejax.core.parameter import Parameter, Scalar, param, parameters, with_parameters
 
 from .kinds import LABELS
@@ -86,11 +87,17 @@ class ByCondition(Effect):
 
 @functools.cache
 def by_condition(key: str, differences: tuple[Difference, ...]) -> type[ByCondition]:
-    """The class of effects in which parameters differ by the label `key` as `differences` say."""
+    """The class of effects in which parameters differ by the label `key` as `differences` say.
+
+    **Raises:** `InputError` where two labels give one name.
+    """
     fields = {
         d.field: param(d.unit, low=d.low, high=d.high, multiplicative=d.relative, default=d.neutral)
         for d in differences
     }
+    if len(fields) < len(differences):
+        remedy = "write labels that differ in letters or digits"
+        raise InputError(f"Two labels of the {key} differ in punctuation alone", "[[runs]] of case.toml", remedy)
     own = {
         "__annotations__": {d.field: Scalar for d in differences},
         "__module__": __name__,
