@@ -5,9 +5,10 @@ from collections.abc import Iterable
 
 from snakejax.core.errors import InputError, instead_of
 from snakejax.core.parameter import parameters
-from snakejax.dynamics.conditions import ByCondition, Difference, by_condition, differences_of
+from snakejax.dynamics.conditions import ByCondition, by_condition, differences_of
 from snakejax.dynamics.kinds import LABELS
 from snakejax.dynamics.model import Model
+from snakejax.estimation.initial_model import FITTED
 from snakejax.recording.run import Case
 
 BY = "option --by"
@@ -34,7 +35,7 @@ def differing(model: Model, case: Case, key: str, free: Iterable[str]) -> tuple[
     name = _name(model, key)
     if not free:
         raise InputError("No parameter is free", BY, "name some with --free")
-    effect = _of(key, differences_of(model, free, labels))
+    effect = by_condition(key, differences_of(model, free, labels))()
     return model.add(**{name: effect}), [f"effects.{name}.{one.field}" for one in effect.differences]
 
 
@@ -46,18 +47,19 @@ def changes(model: Model, case: Case, key: str) -> OrderedDict[str, ByCondition]
     _name(model, key)
     groups: OrderedDict[str, list[str]] = OrderedDict()
     for name in _changeable(model):
-        _, kind, *rest = ["", *name.split(".")]
+        kind, *rest = name.split(".")
         both = kind == "tyre" and rest[-1] in GRIP
         groups.setdefault(GRIP[rest[-1]] if both else "_".join(rest), []).append(name)
     return OrderedDict(
-        (f"{short}_by_{key}", _of(key, differences_of(model, names, labels, short))) for short, names in groups.items()
+        (f"{short}_by_{key}", by_condition(key, differences_of(model, names, labels, short))())
+        for short, names in groups.items()
     )
 
 
 def _changeable(model: Model) -> list[str]:
     """The parameters that another floor, day or load can change: of the tyre, the vehicle and the effects."""
     known = parameters(model)
-    tyre = [n for n in known if n.startswith("tyre.") and n.rsplit(".", 1)[-1] in ("B", "C", "D", "E", "k_s")]
+    tyre = [n for n in known if n.startswith("tyre.") and n.rsplit(".", 1)[-1] in FITTED]
     own = [f"board.{name}" for name in {**dict.fromkeys(model.board.estimated), **model.board.stated_sd}]
     acting = [*(tyre if model.constraint.slips else []), *(name for name in own if name in known)]
     return [*acting, *(name for name in known if name.startswith("effects."))]
@@ -69,7 +71,3 @@ def _name(model: Model, key: str) -> str:
         what = f"The saved model has values by {key} already"
         raise InputError(what, f"{BY} {key}", f"leave it out and name some of effects.{name}.* with --free")
     return name
-
-
-def _of(key: str, differences: tuple[Difference, ...]) -> ByCondition:
-    return by_condition(key, differences)()

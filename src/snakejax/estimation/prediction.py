@@ -104,8 +104,8 @@ def _window(
     inputs = _kept(recording.gait, times[led[0]] - HISTORY, every[-1] + AHEAD)
     at, poses = np.concatenate([times[led], every]), np.concatenate([pose[led], np.full((len(every), 3), np.nan)])
     name = f"{recording.name}@{origin:.2f}"
-    run = Run(name, recording.role, jnp.asarray(at), jnp.asarray(poses), inputs, recording.payload, True)
-    run = dataclasses.replace(run, labels=recording.labels)
+    how = {"moving": True, "labels": recording.labels}
+    run = Run(name, recording.role, jnp.asarray(at), jnp.asarray(poses), inputs, recording.payload, **how)
     return PredictionWindow(group_of(recording), run, len(led), known, measured, np.ones(3))
 
 

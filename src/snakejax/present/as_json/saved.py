@@ -108,13 +108,14 @@ def _kind(entries: Mapping[str, Any]) -> type[Effect] | None:
         return type(_law(entries))
     if not any(isinstance(entry, Mapping) and LABEL in entry for entry in entries.values()):
         return None
-    key = {str(entry["by"]) for entry in entries.values()}.pop()
-    limits = (FURTHEST**-1, FURTHEST), (-math.inf, math.inf)
-    differences = tuple(
-        Difference(field, tuple(one["of"]), one[LABEL], one["ratio"], one["unit"], *limits[0 if one["ratio"] else 1])
-        for field, one in entries.items()
-    )
-    return by_condition(key, differences)
+    key = str(next(iter(entries.values()))["by"])
+    return by_condition(key, tuple(_difference(field, entry) for field, entry in entries.items()))
+
+
+def _difference(field: str, entry: Mapping[str, Any]) -> Difference:
+    """How parameters differ in runs with a label, as an `entry` of a result says."""
+    low, high = (1 / FURTHEST, FURTHEST) if entry["ratio"] else (-math.inf, math.inf)
+    return Difference(field, tuple(entry["of"]), entry[LABEL], entry["ratio"], entry["unit"], low, high)
 
 
 def _law(entries: Mapping[str, Any]) -> Law:
