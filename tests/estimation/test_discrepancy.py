@@ -1,5 +1,6 @@
 """The filter of segments against dense matrices, its optimum against scipy, and strengths that are found again."""
 
+import dataclasses
 from functools import cache
 from typing import NamedTuple
 
@@ -13,6 +14,7 @@ from scipy.integrate import solve_ivp
 
 from snakejax import Accuracy, Model, Pacejka, simulate
 from snakejax.core.parameter import with_parameters
+from snakejax.dynamics.conditions import by_condition, differences_of
 from snakejax.effects import GroundSlope
 from snakejax.estimation.discrepancy import segments as segments_module
 from snakejax.estimation.discrepancy.kalman import (
@@ -261,6 +263,30 @@ def test_a_heavier_vehicle_feels_a_force_in_proportion() -> None:
     np.testing.assert_allclose(by_scale, 0.0, atol=1e-9)
     assert np.abs(once.pose_p[..., 1]).max() > 1e-4
     np.testing.assert_allclose(s.force_ratio(2 * light), 2.0)
+
+
+@pytest.mark.slow
+def test_segments_of_a_labelled_run_have_the_values_of_its_label() -> None:
+    """Three fifths of the grip on rubber: as segments of a board that has that grip everywhere."""
+    case, _, _ = small()
+    runs = [
+        dataclasses.replace(run, labels=(("floor", name),))
+        for name, run in zip(("rubber", "concrete"), case.runs, strict=True)
+    ]
+
+    def at_grip(D: float) -> Model:
+        return Model(case.board, Pacejka(8.0, 1.3, D, 0.2), "free")
+
+    differences = differences_of(at_grip(0.9), ["tyre.D"], ["rubber"])
+    by_floor = at_grip(0.9).add(by_floor=by_condition("floor", differences)(D_rubber=0.6))
+    s = Segments(by_floor, runs, ["effects.by_floor.D_rubber"])
+    z, on_rubber = s.guess(), s.cut.run == 0
+    pose = s.linearise(np.array([0.6]), z).pose
+    for D, chosen in ((0.54, on_rubber), (0.9, ~on_rubber)):
+        plain = Segments(at_grip(D), runs, ["tyre.B"]).linearise(np.array([8.0]), z).pose
+        # Segments beside one another take equal steps, as short as the tyre of one of them needs.
+        np.testing.assert_allclose(pose[chosen], plain[chosen], rtol=0, atol=1e-6)
+        assert np.abs(pose - plain)[~chosen].max() > 1e-4
 
 
 @pytest.mark.slow

@@ -50,8 +50,8 @@ class _Grip(NamedTuple):
 @eqx.filter_jit
 def _motions(model: Model, segments, states):
     def one(segment, states):
-        gait, times, _, _, payload = segment
-        loaded = eqx.tree_at(lambda m: m.board, model, replace_fn=lambda b: b.with_payload(*payload))
+        gait, times, _, _, payload, codes = segment
+        loaded = model.in_run(payload, codes)
         gait = loaded.prepared(gait)
 
         def at(t, state):

@@ -20,7 +20,8 @@ class SegmentedRuns(NamedTuple):
 
     `run` (S,): number of the run; `times` (S, n + 1) [s], the last is the first of the next segment; `pose` (S, n, 3),
     zero where lost; `present` (S, n, 3); `first` (S,): whether it is the first of its run; `rest` (S,): whether it
-    begins at rest; `begins` (S,) [s]: time at which a start at rest is; `payload` (S, 2).
+    begins at rest; `begins` (S,) [s]: time at which a start at rest is; `payload` (S, 2);
+    `codes` (S, 4): the labels of its run.
     """
 
     run: Int[np.ndarray, " S"]
@@ -31,6 +32,7 @@ class SegmentedRuns(NamedTuple):
     rest: np.ndarray
     begins: Float[np.ndarray, " S"]
     payload: Float[np.ndarray, "S 2"]
+    codes: Float[np.ndarray, "S 4"]
 
     @property
     def runs(self) -> int:
@@ -55,7 +57,8 @@ def cut_segments(runs: Sequence[Run], length: float = LENGTH) -> SegmentedRuns:
             present = np.isfinite(part)
             times = t[s * n : (s + 1) * n + 1]
             rest = at_rest and s == 0
+            payload, codes = np.asarray(run.payload), np.asarray(run.codes)
             columns.append(
-                (k, times, np.where(present, part, 0.0), present * 1.0, s == 0, rest, begins, np.asarray(run.payload))
+                (k, times, np.where(present, part, 0.0), present * 1.0, s == 0, rest, begins, payload, codes)
             )
     return SegmentedRuns(*(np.array(column) for column in zip(*columns, strict=True)))

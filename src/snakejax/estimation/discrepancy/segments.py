@@ -86,11 +86,11 @@ def _inertia(model: Model) -> tuple[Scalar, Scalar, Scalar]:
 
 
 def _integrated(model: Model, stated, sub: Int[Array, ""], segment, z: Float[Array, " nz"]):
-    """Poses (n, 3) and end state (nz - 3,) of one segment; `segment` is (gait, times, rest, begins, payload), `stated`
-    the inertia to which the force in `z` belongs."""
-    gait, times, rest, begins, payload = segment
+    """Poses (n, 3) and end state (nz - 3,) of one segment; `segment` is (gait, times, rest, begins, payload,
+    codes), `stated` the inertia to which the force in `z` belongs."""
+    gait, times, rest, begins, payload, codes = segment
     force = [f * now / then for f, now, then in zip(z[-FORCE:], _inertia(model), stated, strict=True)]
-    model = eqx.tree_at(lambda m: m.board, model, replace_fn=lambda b: b.with_payload(*payload))
+    model = model.in_run(payload, codes)
     model = with_parameters(model, dict(zip(_FORCE_NAMES, force, strict=True)))
     gait = model.prepared(gait)
     template = jax.tree.structure(model.start((z[0], z[1], z[2])))
@@ -164,8 +164,8 @@ def _fastest_decay(model: Model, names, values, segments, states):
     model = with_parameters(model, {name: values[k] for k, name in enumerate(names)})
 
     def one(segment, states):
-        gait, times, _, _, payload = segment
-        loaded = eqx.tree_at(lambda m: m.board, model, replace_fn=lambda b: b.with_payload(*payload))
+        gait, times, _, _, payload, codes = segment
+        loaded = model.in_run(payload, codes)
         start = loaded.start((states[0, 0], states[0, 1], states[0, 2]))[1]
 
         def rates(v, t, z):
@@ -181,8 +181,8 @@ def _fastest_decay(model: Model, names, values, segments, states):
 @eqx.filter_jit
 def _steady_memories(model: Model, segments, bodies):
     def one(segment, body):
-        gait, times, _, _, _ = segment
-        memories = model.initial_state(tuple(body[k] for k in range(BODY)), times[0], gait)[1]
+        gait, times, _, _, payload, codes = segment
+        memories = model.in_run(payload, codes).initial_state(tuple(body[k] for k in range(BODY)), times[0], gait)[1]
         return jnp.stack([memory for pair in memories for memory in pair])
 
     return jax.vmap(one)(segments, bodies)
@@ -202,7 +202,7 @@ class Segments:
         gaits = stacked_gaits([run.gait for run in runs], float(max(np.asarray(run.times)[-1] for run in runs)) + 1.0)
         cut = self.cut
         each = jax.tree.map(lambda leaf: np.asarray(leaf)[cut.run], gaits)
-        self.inputs: tuple = (each, cut.times, cut.rest, cut.begins, cut.payload)
+        self.inputs: tuple = (each, cut.times, cut.rest, cut.begins, cut.payload, cut.codes)
         states = [initial_states(model, run) for run in runs]
         self.smoothed = self._by_segment(states)
 
