@@ -11,7 +11,7 @@ sys.path.insert(0, str(ROOT / "benchmarks" / "real_like"))
 
 from boards import KINDS, draw
 from folders import key, measured, write
-from judge import score, wilson
+from judge import clear, score, wilson
 from truth import DETECTABLE
 
 import snakejax as sj
@@ -73,6 +73,9 @@ def test_interval_held_out_ratio_and_what_is_detectable():
     assert row["known_ratio"] == pytest.approx(np.sqrt(8 / 5))
     assert row["detectable"] == row["detected"] == ["yaw_friction"]
     assert pytest.approx(norm.ppf(1 - 0.05 / 48) + norm.ppf(0.8), abs=5e-3) == DETECTABLE
+    gain = {"effects": {"rotor_gain": {"g": 0.1}}}, {"sd": {"rotor_gain.g": 1e-4}}
+    # 0.1 over the 0.07 to which the inertia is known that does the same.
+    assert clear("rotor_gain", *gain) == pytest.approx(0.1 / 0.07, rel=1e-4)
     low, high = wilson(57, 60)
     for bound in (low, high):  # where the normal test of that share is just at 5 %
         assert abs(57 / 60 - bound) == pytest.approx(1.959964 * np.sqrt(bound * (1 - bound) / 60))

@@ -38,15 +38,20 @@ def cautious(search: Search, linear: Linear) -> Subsets:
 
 
 def confidence(
-    search: Search, linear: Linear, predicted: LeftOut, laws: Mapping[str, tuple[str, ...]]
+    search: Search, linear: Linear, predicted: LeftOut, laws: Mapping[str, tuple[str, ...]], has_force: bool
 ) -> dict[str, Confidence]:
-    """How sure each effect of the point of `linear` is; `laws`: those that are laws, with others that do as well."""
+    """How sure each effect of the point of `linear` is; `laws`: those that are laws, with others that do as well;
+    `has_force`: whether a random force acts beside the model.
+
+    Where none does, the effects leave only noise, and what takes the place of one of them has to do so too.
+    """
     effects, wide = linear.point.effects, cautious(search, linear)
     bare_falls, wide_falls = falls(linear.subsets, effects), falls(wide, effects)
     sure = {}
     for effect, fall in bare_falls.items():
         law = effect in laws
-        instead = (*twins(search, linear.subsets if law else wide, effects, effect), *laws.get(effect, ()))
+        problem = wide if has_force and not law else linear.subsets
+        instead = (*twins(search, problem, effects, effect), *laws.get(effect, ()))
         predicts = predicted.gain(effects, effect).predicts
         sure[effect] = _confidence(linear.subsets.threshold(effect), predicts, law, fall, wide_falls[effect], instead)
     return sure
