@@ -9,6 +9,7 @@ import pytest
 from scipy import stats
 
 from snakejax.core.parameter import Domain
+from snakejax.diagnosis.inexact import evidence
 from snakejax.diagnosis.inexact.assessment import Assessment
 from snakejax.diagnosis.inexact.candidate_model import CandidateModel
 from snakejax.diagnosis.inexact.evidence import World
@@ -26,6 +27,7 @@ from snakejax.diagnosis.inexact.subsets import (
     substitutes,
 )
 from snakejax.diagnosis.selection.criteria import CRITERIA
+from snakejax.estimation.discrepancy.kalman import Discrepancy
 from snakejax.estimation.discrepancy.least_squares import Optimum, Prior
 
 EFFECTS = "abcdefgh"
@@ -227,3 +229,21 @@ def test_a_fit_goes_on_along_a_simulation_where_smoothed_states_lead_astray(
     end: Any = search._refitted(at(np.array([8.0])), (), 10, 0).point  # type: ignore[arg-type]
     assert end.along is arrives
     assert bool(abs(end.values[0]) < 0.3) is arrives
+
+
+@pytest.mark.parametrize("excluded", [3e-4, 4e-3, 1.0])
+def test_the_largest_force_that_recordings_do_not_exclude(monkeypatch: pytest.MonkeyPatch, excluded: float) -> None:
+    """Where -2 log likelihood rises by 9 (F / `excluded`)^2, it is `excluded`; never more than the criterion."""
+    scales = SimpleNamespace(force=np.array([2.0, 3.0, 0.1]))
+    now = Discrepancy(np.ones(3), np.ones(3), 0.2, np.zeros(3), 0.5)
+    point = SimpleNamespace(effects=(), values=None, discrepancy=now)
+
+    def likelihood(_: object, of: Discrepancy, *__: object) -> float:
+        return CRITERIA.random_force_chi2 * float(of.force[0] / scales.force[0] / excluded) ** 2
+
+    monkeypatch.setattr(evidence, "restricted_likelihood", likelihood)
+    model = SimpleNamespace(free=lambda effects: np.array([0]))
+    search = SimpleNamespace(criteria=CRITERIA, model=model, scales=scales, prior_at=lambda values: None)
+    share = evidence.largest_force(search, SimpleNamespace(point=point, data=None))  # type: ignore[arg-type]
+    most = min(excluded, CRITERIA.cautious_force)
+    assert most / evidence.FORCE_STEP < share <= most

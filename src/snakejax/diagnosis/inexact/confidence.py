@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .evidence import largest_force
 from .left_out import LeftOut
 from .search import Linear, Search
 from .subsets import Subsets, falls, substitutes
@@ -30,28 +31,25 @@ class Confidence(NamedTuple):
     instead: tuple[str, ...]
 
 
-def cautious(search: Search, linear: Linear) -> Subsets:
-    """The problem at `linear` with a share `cautious_force` of the forces that move the vehicle unknown."""
-    criteria = search.criteria
-    wide = linear.point.discrepancy.enlarged(criteria.cautious_force * search.scales.force, criteria.shortest_force)
-    return linear.under(wide)
+def cautious(search: Search, linear: Linear, has_force: bool) -> Subsets:
+    """The problem at `linear` with a share `cautious_force` of the forces that move the vehicle unknown; where no
+    random force was found, with the largest that the recordings do not exclude, if that is less."""
+    criteria, scales = search.criteria, search.scales
+    share = criteria.cautious_force if has_force else largest_force(search, linear)
+    return linear.under(linear.point.discrepancy.enlarged(share * scales.force, criteria.shortest_force))
 
 
 def confidence(
     search: Search, linear: Linear, predicted: LeftOut, laws: Mapping[str, tuple[str, ...]], has_force: bool
 ) -> dict[str, Confidence]:
     """How sure each effect of the point of `linear` is; `laws`: those that are laws, with others that do as well;
-    `has_force`: whether a random force acts beside the model.
-
-    Where none does, the effects leave only noise, and what takes the place of one of them has to do so too.
-    """
-    effects, wide = linear.point.effects, cautious(search, linear)
+    `has_force`: whether a random force acts beside the model."""
+    effects, wide = linear.point.effects, cautious(search, linear, has_force)
     bare_falls, wide_falls = falls(linear.subsets, effects), falls(wide, effects)
     sure = {}
     for effect, fall in bare_falls.items():
         law = effect in laws
-        problem = wide if has_force and not law else linear.subsets
-        instead = (*twins(search, problem, effects, effect), *laws.get(effect, ()))
+        instead = (*twins(search, linear.subsets if law else wide, effects, effect), *laws.get(effect, ()))
         predicts = predicted.gain(effects, effect).predicts
         sure[effect] = _confidence(linear.subsets.threshold(effect), predicts, law, fall, wide_falls[effect], instead)
     return sure

@@ -9,6 +9,10 @@ from snakejax.estimation.discrepancy.strength import restricted_likelihood
 
 from .search import Linear, Search
 
+FORCE_STEP, MOST_FORCE_STEPS = 1.5, 16
+"""The largest force that recordings do not exclude is searched for in steps of this factor, down to a thousandth of
+that at which the search begins."""
+
 
 class World(NamedTuple):
     """-2 log restricted likelihood more without each: a random `force`, noise that is `wandering`, and `constants`
@@ -46,6 +50,21 @@ def world(search: Search, linear: Linear) -> World:
         _gain_of_free_constants(search, linear, linear.under(still).gram),
         search.criteria.random_force_chi2,
     )
+
+
+def largest_force(search: Search, linear: Linear) -> float:
+    """The largest random force, as a share of the forces that move the vehicle and at most `cautious_force`, with which
+    -2 log restricted likelihood is not larger by more than `random_force_chi2`, within a factor of `FORCE_STEP`."""
+    criteria, free = search.criteria, search.model.free(linear.point.effects)
+    prior, now = search.prior_at(linear.point.values), linear.point.discrepancy
+    least = restricted_likelihood(linear.data, now, free, prior)
+    share = criteria.cautious_force
+    for _ in range(MOST_FORCE_STEPS):
+        wider = now.enlarged(share * search.scales.force, criteria.shortest_force)
+        if restricted_likelihood(linear.data, wider, free, prior) - least <= criteria.random_force_chi2:
+            break
+        share /= FORCE_STEP
+    return share
 
 
 def _gain_of_free_constants(search: Search, linear: Linear, gram: np.ndarray) -> float:

@@ -89,7 +89,7 @@ class SelectionCriteria(NamedTuple):
     varies with the place or the motion in place of time looks weaker to the likelihood than it is."""
     cautious_force: float = 0.02
     """An effect is sure where it would be significant even if a fiftieth of the forces that move the vehicle were
-    something else."""
+    something else; less where no random force was found and the recordings exclude so large a one."""
     shortest_force: float = 0.5
     """In both cases that force changes over this time [s], or faster for intervals and slower for what is sure."""
     largest_random_force: float = 0.05
