@@ -201,16 +201,16 @@ def test_a_random_force_that_the_runs_do_not_show_has_no_share(evidence: float, 
     assert Assessment(**parts).random_force_share == pytest.approx(share)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(("simulated_deviance", "arrives"), [(5.0, True), (20.0, False)])
+@pytest.mark.parametrize("simulation_is_likelier", [True, False])
 def test_a_fit_goes_on_along_a_simulation_where_smoothed_states_lead_astray(
-    monkeypatch: pytest.MonkeyPatch, simulated_deviance: float, arrives: bool
+    monkeypatch: pytest.MonkeyPatch, simulation_is_likelier: bool
 ) -> None:
     """From smoothed states a step doubles the distance to the optimum at 0; from a simulation, which is `along`, it
     leads there. A simulation that is less likely, as where a random force acts, is not taken."""
 
     def linearise(_: Search, point: SimpleNamespace, free: object = None, most: int = 0) -> SimpleNamespace:
         best = Optimum(0.0, np.array([-point.values[0]]), np.eye(1), (0,))
-        return SimpleNamespace(point=point, optimum=best, deviance=simulated_deviance if point.along else 10.0)
+        return SimpleNamespace(point=point, optimum=best)
 
     def stepped(_: Search, linear: SimpleNamespace, step: np.ndarray, effects: tuple[str, ...]) -> SimpleNamespace:
         values = linear.point.values
@@ -223,12 +223,13 @@ def test_a_fit_goes_on_along_a_simulation_where_smoothed_states_lead_astray(
 
     monkeypatch.setattr(Search, "linearise", linearise)
     monkeypatch.setattr(Search, "stepped", stepped)
+    monkeypatch.setattr(Search, "_is_likelier", lambda _, point, linear: simulation_is_likelier)
     monkeypatch.setattr(Search, "along_simulation", lambda _, point: at(point.values, along=True))
     model = SimpleNamespace(candidates={}, probes={})
     search = Search(SimpleNamespace(), model, SimpleNamespace())  # type: ignore[arg-type]
     end: Any = search._refitted(at(np.array([8.0])), (), 10, 0).point  # type: ignore[arg-type]
-    assert end.along is arrives
-    assert bool(abs(end.values[0]) < 0.3) is arrives
+    assert end.along is simulation_is_likelier
+    assert bool(abs(end.values[0]) < 0.3) is simulation_is_likelier
 
 
 @pytest.mark.parametrize("excluded", [3e-4, 4e-3, 1.0])

@@ -20,6 +20,7 @@ from snakejax.estimation.discrepancy import segments as segments_module
 from snakejax.estimation.discrepancy.kalman import (
     Discrepancy,
     SegmentData,
+    deviance,
     gram_matrices,
     segment_data,
     smooth,
@@ -128,6 +129,7 @@ def test_the_filter_is_generalised_least_squares(seed: int) -> None:
     data = made_up(seed)
     gram, logs, _ = dense(data, DISCREPANCY)
     found, found_logs = gram_matrices(data, DISCREPANCY)
+    assert deviance(data, DISCREPANCY) == pytest.approx(gram[0, 0] + logs, rel=1e-9)
     np.testing.assert_allclose(found[0], gram, rtol=1e-9)
     np.testing.assert_allclose(found_logs[0], logs, rtol=1e-9)
 

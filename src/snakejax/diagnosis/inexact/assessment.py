@@ -18,7 +18,7 @@ from ..selection.candidates import CandidateSet
 from .confidence import Confidence, confidence
 from .evidence import World, world
 from .left_out import LeftOut, left_out
-from .prediction import PredictiveCheck, bands, left_out_bands, predictive_check, simulated_segments, smoothed_segments
+from .prediction import PredictiveCheck, bands, left_out_bands, likelier_segments, predictive_check, simulated_segments
 from .search import ARRIVED, Linear, Search, distance
 from .subsets import Subsets
 
@@ -121,7 +121,7 @@ def assess(
     predictions = left_out_bands(search.segments.runs, linear.data, problem, gram, effects, predicting)
     check = None
     if heldout:
-        linearised = smoothed_segments if evidence.has_force else simulated_segments
+        linearised = likelier_segments if evidence.has_force else simulated_segments
         unseen = linearised(search, heldout, values, expected)
         check = predictive_check(unseen, best, expected)
         predictions += bands(heldout, unseen, best, predicting)

@@ -5,9 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from snakejax.core.errors import FitError
 from snakejax.estimation.discrepancy.kalman import (
     Discrepancy,
     SegmentData,
+    deviance,
     gram_matrices,
     moved_states,
     segment_data,
@@ -63,6 +65,19 @@ def simulated_segments(
     for _ in range(START_ROUNDS):
         z = segments.rolled_out(values, _smoothed(segments, values, z, discrepancy))
     return segment_data(segments.cut, segments.linearise(values, z), z)
+
+
+def likelier_segments(search: Search, runs: Sequence[Run], values: np.ndarray, discrepancy: Discrepancy) -> SegmentData:
+    """The segments of `runs` at smoothed states or along simulations, as the runs are likelier under `discrepancy`.
+
+    Where a random force acts, a simulation leaves the recording; where it is weak, smoothed states need not converge.
+    **Raises:** `FitError` where neither is finite.
+    """
+    both = (linearised(search, runs, values, discrepancy) for linearised in (smoothed_segments, simulated_segments))
+    finite = [data for data in both if np.isfinite(data.columns).all()]
+    if not finite:
+        raise FitError("A simulation of a held-out run is not finite.")
+    return min(finite, key=lambda data: deviance(data, discrepancy))
 
 
 def _smoothed(segments: Segments, values: np.ndarray, z: np.ndarray, discrepancy: Discrepancy) -> np.ndarray:

@@ -14,6 +14,7 @@ from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
 from snakejax.estimation.discrepancy.kalman import (
     Discrepancy,
     SegmentData,
+    deviance,
     gram_matrices,
     moved_states,
     segment_data,
@@ -73,12 +74,6 @@ class Linear(NamedTuple):
     def optimum(self) -> Optimum:
         """The optimum with the effects of the point."""
         return self.subsets.with_effects(self.point.effects)
-
-    @property
-    def deviance(self) -> float:
-        """-2 log likelihood at the point itself, without a step, but for its prior and a constant."""
-        gram, logs = gram_matrices(self.data, self.point.discrepancy)
-        return float(gram[:, 0, 0].sum() + logs.sum())
 
     def under(self, discrepancy: Discrepancy) -> Subsets:
         """The problem under another discrepancy."""
@@ -207,13 +202,21 @@ class Search(NamedTuple):
             # steps go to and fro.
             shortened = distance(further.optimum) < (1.0 - 0.5 * share) * before
             if not (shortened or simulated):
-                along = self.linearise(self.along_simulation(linear.point), most=0)
-                if along.deviance < linear.deviance:
-                    linear, share, simulated = self.linearise(along.point, most=most), 1.0, True
+                along = self.along_simulation(linear.point)
+                if self._is_likelier(along, linear):
+                    linear, share, simulated = self.linearise(along, most=most), 1.0, True
                     continue
             linear = further
             share = min(1.0, 2.0 * share) if shortened else max(0.5 * share, SMALLEST_SHARE)
         return linear
+
+    def _is_likelier(self, point: Point, linear: Linear) -> bool:
+        """Whether the recordings are likelier at `point` than at `linear`, under the same discrepancy."""
+        try:
+            data = self.data(point)
+        except FitError:
+            return False
+        return deviance(data, point.discrepancy) < deviance(linear.data, point.discrepancy)
 
     def along_simulation(self, point: Point) -> Point:
         """`point` with the states of whole simulated runs.

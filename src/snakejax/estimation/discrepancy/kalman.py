@@ -270,6 +270,12 @@ def gram_matrices(
     return np.asarray(gram.sum(axis=1)), np.asarray(logs.sum(axis=1))
 
 
+def deviance(data: SegmentData, discrepancy: Discrepancy) -> float:
+    """-2 log likelihood of all runs without a step of the parameters, but for a constant: sum of r^T r + ln |V|."""
+    gram, logs = gram_matrices(data, discrepancy)
+    return float(gram[:, 0, 0].sum() + logs.sum())
+
+
 def block_gram_matrices(
     data: SegmentData, discrepancy: Discrepancy, length: int
 ) -> tuple[Float[np.ndarray, "R B P1 P1"], Float[np.ndarray, "R B"]]:
