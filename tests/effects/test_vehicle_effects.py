@@ -13,6 +13,7 @@ from snakejax.core.parameter import parameters, with_parameters
 from snakejax.dynamics.axle_tyres import FrontRear
 from snakejax.dynamics.inputs import Inputs
 from snakejax.dynamics.model import no_traction
+from snakejax.dynamics.sampled_signals import Held
 from snakejax.effects import LIBRARY, library
 from snakejax.vehicles.car import DART, Car
 from snakejax.vehicles.roller_racer import ROLLER_RACER, RollerRacer
@@ -261,3 +262,20 @@ def test_a_gain_is_refused_where_the_constant_that_does_the_same_is_estimated() 
 def test_the_library_of_a_board_is_the_24() -> None:
     board = Board(mass=7.0, rotor_inertia=0.0238, wheelset_inertia=0.001, half_length=0.25)
     assert library(board) is LIBRARY and len(LIBRARY) == 24
+
+
+def test_input_effects_act_in_their_order_whatever_the_order_in_which_they_are_added() -> None:
+    """First the lag, then the offset, then the asymmetry of what both leave: by hand, 0.1 s after a step of 0.4."""
+    effects = library(CAR)
+    added = {
+        "steering_asymmetry": effects["steering_asymmetry"](a=-0.2),
+        "steering_offset": effects["steering_offset"](o=0.05),
+        "steering_lag": effects["steering_lag"](tau=0.12),
+    }
+    command = Inputs({"steer": Held.of([0.0, 1.0], [0.0, 0.4]), "drive": Held.of([0.0, 1.0], [0.0, 0.0])})
+    late = 0.4 * (1 - np.exp(-0.1 / 0.12)) + 0.05
+    expected = (1 - 0.2 * np.tanh(30 * late)) * late
+    for names in (list(added), list(reversed(added))):
+        model = model_of("car").add(**{name: added[name] for name in names})
+        steered = model.commanded(command).signal("steer").at(jnp.asarray(1.1)).angle
+        assert float(steered) == pytest.approx(expected, rel=1e-12)

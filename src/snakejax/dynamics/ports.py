@@ -119,9 +119,9 @@ class TyreState(_OfGrip):
 
 
 class InputModifier(Effect):
-    """Changes the commands of the joints."""
+    """Changes the commands of the joints; effects are applied in the order of `order`."""
 
-    stage: ClassVar[int] = 0
+    order: ClassVar[int] = 0
     once: ClassVar[bool] = False
     """Whether the change is costly, so that a simulation makes it once and not at every instant."""
 

@@ -58,7 +58,7 @@ class InputOffset(InputEffect):
     """y = c + o."""
 
     description = "The input has an offset: at zero it acts already."
-    stage: ClassVar[int] = 1
+    order: ClassVar[int] = 1
     o: Scalar = param("-", default=0.0)
 
     def shape(self, command: Scalar) -> Scalar:
@@ -69,7 +69,7 @@ class InputGain(InputEffect):
     """y = (1 + g) c."""
 
     description = "The input acts more strongly than commanded, or less."
-    stage: ClassVar[int] = 1
+    order: ClassVar[int] = 1
     g: Scalar = param("-", low=-0.99, default=0.0)
 
     def inapplicable_because(self, model: "Model") -> str | None:
@@ -86,7 +86,7 @@ class InputAsymmetry(InputEffect):
     """y = (1 + a tanh(30 c)) c: more to the left than to the right for a > 0."""
 
     description = "The input acts more strongly to one side than to the other."
-    stage: ClassVar[int] = 2
+    order: ClassVar[int] = 2
     a: Scalar = param("-", low=-0.9, high=0.9, default=0.0)
 
     def shape(self, command: Scalar) -> Scalar:
@@ -97,7 +97,7 @@ class InputCurvature(InputEffect):
     """y = c / sqrt(1 + kappa c^2): large inputs act less than in proportion."""
 
     description = "Large inputs act less than in proportion, as a linkage near its end does."
-    stage: ClassVar[int] = 3
+    order: ClassVar[int] = 3
     secant_step: ClassVar[dict[str, float]] = {"kappa": 0.3}
     kappa: Scalar = param("-", low=0.0, high=20.0, default=0.0)
 
@@ -119,7 +119,7 @@ class InputFading(InputEffect):
     """y = (1 - b t) c: the input loses force with the time t of the run, as on a battery that empties."""
 
     description = "The drive loses force in the course of a run: an emptying battery."
-    stage: ClassVar[int] = 4
+    order: ClassVar[int] = 4
     b: Scalar = param("1/s", default=0.0)
 
     def acted(self, signal: AbstractSignal) -> AbstractSignal:
