@@ -1,7 +1,9 @@
 """`--by`: parameters that have values of their own for each floor, and what a new floor has changed."""
 
 import dataclasses
+import io
 import json
+import re
 from functools import cache
 from pathlib import Path
 
@@ -10,6 +12,7 @@ import jsonschema
 import numpy as np
 import pytest
 from helpers.wandering_car import CONSTANTS, TYRE, windows
+from rich.console import Console
 
 import snakejax as sj
 from snakejax.commands.conditions import changes
@@ -21,6 +24,7 @@ from snakejax.present.as_json.fit import fit_json
 from snakejax.present.as_json.provenance import provenance_json
 from snakejax.present.as_json.schema import schema_of
 from snakejax.present.as_json.values import as_text
+from snakejax.present.as_text.explanation import candidate_table
 from snakejax.recording.run import Case, Noise, Run
 from snakejax.vehicles.car import DART, Car
 
@@ -115,7 +119,12 @@ def test_a_floor_with_less_grip_is_named(tmp_path: Path) -> None:
         for n in "BCDE"
     }
     path.write_text(json.dumps({"model": "pacejka", "skid": "free", "base": {"parameters": tyre, "effects": {}}}))
-    ranking = diagnose_case(case, {"from_": path, "by": "floor"}).base.ranking
+    base = diagnose_case(case, {"from_": path, "by": "floor"}).base
+    ranking = base.ranking
+    printed = io.StringIO()
+    Console(width=80, file=printed).print(candidate_table(base))
+    # One line each: a label of effect and parameter would leave no room for the numbers.
+    assert re.search(r"grip_tiles +\S+ +\S+ +0\.7\d* \+- 0\.\d+", printed.getvalue())
     assert ranking[0].effect == "grip_by_floor"
     estimate = ranking[0].estimate["grip_tiles"]
     assert abs(estimate.value - 0.75) < 3 * estimate.sd < 0.3

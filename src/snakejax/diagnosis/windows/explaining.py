@@ -22,7 +22,6 @@ from ..explanation import Explanation, PoseError, Remainder, TriedCandidate
 from ..inexact.candidate_model import candidate_model, movable_parameters
 from ..inexact.confidence import AMBIGUOUS, LIKELY, SURE
 from ..inexact.explaining import shares_of_errors
-from ..inexact.left_out import Gain
 from ..selection.candidates import BaseFit, CandidateSet, structures
 from ..selection.criteria import SelectionCriteria
 from ..selection.steps import SWITCH_DESCRIPTION, CandidateScore, SelectionStep
@@ -67,8 +66,26 @@ class WindowQuestion(NamedTuple):
         return step_of(self.searches[number], self.sets[number], state, switch, self.with_)
 
 
-def _beside_structure(base: SelectionStep, relaxed: SelectionStep, gain: Gain) -> SelectionStep:
-    """The `base` with the other structure among its candidates: first where recordings left out gain by it, else last.
+def _path(question: WindowQuestion) -> tuple[list[tuple[int, SearchState]], bool]:
+    """The states from the base on, each with the number of its structure; and whether they go over to the other one.
+
+    They do where recordings left out are predicted better by it. Where two things are wrong at once, one of them alone
+    need not do so: then the ends of both ways are compared.
+    """
+    base = question.first(0)
+    if len(question.sets) == 1:
+        return [(0, base), *((0, state) for state in further_states(question.searches[0], base))], False
+    relaxed = question.first(1)
+    at_once = left_out_gain(base.linear, relaxed.linear).predicts
+    others = [relaxed, *further_states(question.searches[1], relaxed)]
+    own = [base] if at_once else [base, *further_states(question.searches[0], base)]
+    if at_once or left_out_gain(own[-1].linear, others[-1].linear).predicts:
+        return [(0, base), *((1, state) for state in others)], True
+    return [(0, state) for state in own], False
+
+
+def _beside_structure(base: SelectionStep, relaxed: SelectionStep, predicts: bool) -> SelectionStep:
+    """The `base` with the other structure among its candidates: first where it `predicts` better, else last.
 
     Its fit is the step `relaxed`.
     """
@@ -78,7 +95,7 @@ def _beside_structure(base: SelectionStep, relaxed: SelectionStep, gain: Gain) -
         refit_misfit=relaxed.train.misfit,
         converged=relaxed.converged,
     )
-    ranking = (other, *base.ranking) if gain.predicts else (*base.ranking, other)
+    ranking = (other, *base.ranking) if predicts else (*base.ranking, other)
     return dataclasses.replace(base, ranking=ranking)
 
 
@@ -111,7 +128,8 @@ def diagnose_windows(
     step = window_question.step(0, base)
     if len(window_question.sets) > 1:
         relaxed = window_question.first(1)
-        step = _beside_structure(step, window_question.step(1, relaxed), left_out_gain(base.linear, relaxed.linear))
+        gain = left_out_gain(base.linear, relaxed.linear)
+        step = _beside_structure(step, window_question.step(1, relaxed), gain.predicts)
     return Diagnosis(case, noise, step)
 
 
@@ -123,18 +141,10 @@ def explain_windows(
     **Raises:** `FitError` where the simulation of every window fails.
     """
     window_question = _window_question(case, noise, library, question)
-    base = window_question.first(0)
-    path, gain = [(0, base)], None
-    if len(window_question.sets) > 1:
-        relaxed = window_question.first(1)
-        gain = left_out_gain(base.linear, relaxed.linear)
-        if gain.predicts:
-            path.append((1, relaxed))
-    number, last = path[-1]
-    path += [(number, state) for state in further_states(window_question.searches[number], last)]
+    path, other_predicts = _path(window_question)
     steps = [window_question.step(k, state) for k, state in path]
-    if gain is not None and gain.predicts:
-        steps[0] = _beside_structure(steps[0], steps[1], gain)
+    if other_predicts:
+        steps[0] = _beside_structure(steps[0], steps[1], other_predicts)
     return _explanation(case, noise, steps, [(window_question.searches[k], state) for k, state in path])
 
 

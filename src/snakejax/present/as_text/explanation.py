@@ -125,6 +125,12 @@ def _left_out(step: SelectionStep) -> Iterator[str]:
         yield f"Excluded: {name}: {why.rstrip('.')}."
 
 
+def _label(effect: str, name: str) -> str:
+    """`effect.name`; what differs by floor, day or session has the label of the runs in its `name` already."""
+    group, by, _ = effect.partition("_by_")
+    return name if by and name.startswith(f"{group}_") else f"{effect}.{name}".rstrip(".")
+
+
 def candidate_table(step: SelectionStep, most: int = 6, detectable: bool = False) -> RenderableType:
     """The first `most` candidates: p, remaining error in multiples of the noise, and expected value.
 
@@ -143,8 +149,7 @@ def candidate_table(step: SelectionStep, most: int = 6, detectable: bool = False
         for place, (name, estimate) in enumerate(rows.items()):
             words = "" if estimate is None else f"{estimate.value:.2g} +- {estimate.sd:.1g}{unit_text(estimate)}"
             detects = [f"{ranked.detectable[name]:.2g}" if name else ""] * detectable
-            label = f"{ranked.effect}.{name}".rstrip(".")
-            add_row(table, label, *(first if place == 0 else ("",) * 3), words, *detects)
+            add_row(table, _label(ranked.effect, name), *(first if place == 0 else ("",) * 3), words, *detects)
     first = "predicted" if near else "over short windows"
     legend = "p: probability of such an improvement by chance, corrected for the number of candidates."
     legend += f" / noise: remaining error in multiples of the noise: {first}, and refitted on whole runs."
