@@ -1,10 +1,14 @@
 """Explaining windows of a car that wanders: the effect that is there is found, and no other one is claimed."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from helpers.wandering_car import CONSTANTS, NOISE, TYRE, windows
 from scipy import stats
 
+from snakejax.diagnosis.windows import explaining
 from snakejax.diagnosis.windows.explaining import (
     FEWEST_RECORDINGS,
     MOST_RECORDINGS,
@@ -49,6 +53,33 @@ def test_the_tyre_and_the_asymmetry_of_a_wandering_car_are_found_and_nothing_els
     assert heldout[-1].position_m < 0.5 * heldout[0].position_m
     assert sum(row.taken for row in found.candidates) == 1
     assert found.explained_share is not None and found.explained_share > 0.5
+
+
+@pytest.mark.parametrize(
+    ("better", "path"),
+    [
+        ({("base", "slips")}, [(0, "base"), (1, "slips"), (1, "slips, a")]),
+        ({("base, b", "slips, a")}, [(0, "base"), (1, "slips"), (1, "slips, a")]),
+        (set(), [(0, "base"), (0, "base, b")]),
+    ],
+)
+def test_a_structure_is_taken_alone_or_for_the_effects_that_it_lets_act(
+    monkeypatch: pytest.MonkeyPatch, better: set, path: list
+) -> None:
+    """`better`: from which model to which recordings left out gain. Else the effects of the base remain."""
+
+    def state(name: str) -> SimpleNamespace:
+        return SimpleNamespace(linear=name)
+
+    further = {"base": "base, b", "slips": "slips, a"}
+    monkeypatch.setattr(explaining, "further_states", lambda _, first: [state(further[first.linear])])
+    monkeypatch.setattr(explaining, "left_out_gain", lambda old, new: SimpleNamespace(predicts=(old, new) in better))
+    question: Any = SimpleNamespace(
+        sets=(0, 1), searches=(None, None), first=lambda number: state("slips" if number else "base")
+    )
+    states, switches = explaining._path(question)
+    assert [(number, one.linear) for number, one in states] == path
+    assert switches is bool(better)
 
 
 def test_start_states_are_projected_out_as_least_squares_does() -> None:
