@@ -9,6 +9,7 @@ from helpers.wandering_car import CONSTANTS, NOISE, TYRE, windows
 from scipy import stats
 
 from snakejax.diagnosis.windows import explaining
+from snakejax.diagnosis.windows import search as search_module
 from snakejax.diagnosis.windows.explaining import (
     FEWEST_RECORDINGS,
     MOST_RECORDINGS,
@@ -17,7 +18,7 @@ from snakejax.diagnosis.windows.explaining import (
     supports,
 )
 from snakejax.diagnosis.windows.own_motion import own_errors, steady_windows
-from snakejax.diagnosis.windows.search import _p_value
+from snakejax.diagnosis.windows.search import SearchState, _p_value
 from snakejax.dynamics.inputs import Inputs
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.sampled_signals import Held
@@ -80,6 +81,25 @@ def test_a_structure_is_taken_alone_or_for_the_effects_that_it_lets_act(
     states, switches = explaining._path(question)
     assert [(number, one.linear) for number, one in states] == path
     assert switches is bool(better)
+
+
+def test_an_effect_that_a_later_one_makes_idle_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`a` and `c` gain nothing beside `b`, and `c` gains less: `c` goes first, then `a` predicts and stays."""
+
+    def candidate(linear: SimpleNamespace, effect: str) -> SimpleNamespace:
+        idle = {"a": {"b", "c"}, "b": set(), "c": {"b"}}[effect]
+        predicts = not (idle and idle <= set(linear.effects))
+        gain = SimpleNamespace(by_part=np.array([{"a": 0.2, "b": 5.0, "c": 0.1}[effect]]))
+        return SimpleNamespace(effect=effect, gain=gain, predicts=lambda criteria: predicts)
+
+    def state(_: object, point: object, effects: tuple[str, ...]) -> SearchState:
+        linear: Any = SimpleNamespace(effects=effects, point=None)
+        return SearchState(linear, ())
+
+    monkeypatch.setattr(search_module, "_state", state)
+    search: Any = SimpleNamespace(candidate=candidate, criteria=None, fitted=lambda point, effects: None)
+    states = search_module._without_idle_effects(search, state(None, None, ("a", "c", "b")))
+    assert [(one.dropped, one.effects) for one in states] == [("c", ("a", "b"))]
 
 
 def test_start_states_are_projected_out_as_least_squares_does() -> None:

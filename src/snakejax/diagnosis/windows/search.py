@@ -226,10 +226,12 @@ def _p_value(away: np.ndarray, covariance: np.ndarray, recordings: int) -> float
 
 
 class SearchState(NamedTuple):
-    """One state of the search: the linear problem at its optimum, and the candidates beside it, the best first."""
+    """One state of the search: the linear problem at its optimum, and the candidates beside it, the best first;
+    `dropped`: the effect that the state before has more, if any."""
 
     linear: WindowProblem
     candidates: tuple[Candidate, ...]
+    dropped: str = ""
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -246,16 +248,35 @@ def first_state(search: WindowSearch, point: WindowPoint) -> SearchState:
 
 
 def further_states(search: WindowSearch, first: SearchState) -> list[SearchState]:
-    """The states that follow the `first`, each with one effect more."""
-    states = [first]
+    """The states that follow the `first`: each has one effect more, or one less where it has become idle."""
+    states, known = [first], {frozenset(first.effects)}
     while len(states[-1].effects) < MOST_EFFECTS:
         event = ProgressEvent(Phase.CHOOSING_EFFECTS, "choosing effects by recordings left out")
-        search.progress(event._replace(done=len(states), total=MOST_EFFECTS))
+        search.progress(event._replace(done=len(states[-1].effects) + 1, total=MOST_EFFECTS))
         further = _further(search, states[-1])
         if further is None:
             break
-        states.append(further)
+        following = [further, *_without_idle_effects(search, further)]
+        if frozenset(following[-1].effects) in known:
+            break
+        states += following
+        known.add(frozenset(following[-1].effects))
     return states[1:]
+
+
+def _without_idle_effects(search: WindowSearch, state: SearchState) -> list[SearchState]:
+    """The states that follow as effects are dropped, the one of the least gain first, that no longer predict recordings
+    left out better beside the others (backward elimination)."""
+    states: list[SearchState] = []
+    while True:
+        tried = [search.candidate(state.linear, effect) for effect in state.effects]
+        idle = [one for one in tried if not one.predicts(search.criteria)]
+        if not idle:
+            return states
+        dropped = min(idle, key=lambda one: one.gain.by_part.sum()).effect
+        effects = tuple(effect for effect in state.effects if effect != dropped)
+        state = _state(search, search.fitted(state.linear.point, effects), effects)._replace(dropped=dropped)
+        states.append(state)
 
 
 def left_out_gain(before: WindowProblem, after: WindowProblem) -> Gain:

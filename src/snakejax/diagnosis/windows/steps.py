@@ -18,8 +18,9 @@ from .search import Candidate, SearchState, WindowSearch, larger_sd, twins
 def step_of(
     search: WindowSearch, candidate_set: CandidateSet, state: SearchState, name: str, with_: tuple[str, ...]
 ) -> SelectionStep:
-    """The step to `state`: `name` says what was changed, by default the last of its effects; the base has neither."""
-    name = name or (state.effects[-1] if state.effects else "")
+    """The step to `state`: `name` says what was added, by default the last of its effects; the base has neither."""
+    change = "dropped" if state.dropped else "added"
+    name = state.dropped or name or (state.effects[-1] if state.effects else "")
     problem, values = search.problem, state.linear.point.values
     train = list(search.windows)
     solution = problem.fit(values, (), train, state.linear.point.start)
@@ -34,7 +35,7 @@ def step_of(
         spread=1.0,
     )
     return SelectionStep(
-        change="added" if name else "base",
+        change=change if name else "base",
         name=name,
         effects=(*((LATERAL_SLIP_SWITCH,) if candidate_set.switched else ()), *present),
         fitted=fitted,
