@@ -30,8 +30,12 @@ OUTPUTS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
 
 
 def recognises(source: Source) -> bool:
-    """Whether the first bytes point to a block of parameters and carry the format's key."""
-    return len(source.head) >= BLOCK and source.head[1] == MAGIC and 1 < source.head[0] < 9
+    """Whether the first bytes point to a block of parameters and carry the format's key, or the name ends in .c3d."""
+    head = source.head
+    if len(head) >= BLOCK and head[1] == MAGIC and 1 < head[0] < 9:
+        return True
+    # A damaged C3D is no text: the other readers would complain of its encoding.
+    return source.path.suffix.lower() == ".c3d" and not head.isascii()
 
 
 def read(source: Source) -> Capture:
