@@ -214,11 +214,12 @@ def test_what_remains_says_with_what_it_goes() -> None:
     rest = Remainder(3.2e-3, 4.5e-3, depends)
     found = dataclasses.replace(story(verdict="explained"), floor=floor, remainder=rest)
     text = joined(shown(explanation_text(found)))
-    assert "leaves 3.20 mm and 4.50 mrad above that" in text
-    assert "a share goes with rotor_rate (31%) and world_position (2%)" in text
+    assert "The error of the model is 3.20 mm and 4.50 mrad above that" in text
+    assert "residuals in train runs depends on rotor_rate (31%) and world_position (2%)" in text
     assert "one of these laws" not in text
     undecided = dataclasses.replace(found, remainder=rest._replace(laws=("east = b * x", "east = b * y")))
-    assert "one of these laws: east = b * x; or east = b * y." in joined(shown(explanation_text(undecided)))
+    laws = "one of these laws may be missing: east = b * x; or east = b * y."
+    assert laws in joined(shown(explanation_text(undecided)))
     alone = dataclasses.replace(found, remainder=rest._replace(depends_on=()))
     assert "depend on no variable (5%)" in joined(shown(explanation_text(alone)))
 

@@ -82,7 +82,7 @@ def prediction_windows(recordings: Sequence[Run], lead: float, horizons: Sequenc
                 if window is not None:
                     windows.append(window._replace(noise=noise))
     if not windows:
-        what = f"No recording has {lead:g} s and {horizons[0]:g} s after them without a gap in which the vehicle moves"
+        what = f"No recording has {lead:g} s and {horizons[0]:g} s after them without a gap while the vehicle moves"
         raise InputError(what, "option --horizon", "take a shorter --lead or --horizon")
     return windows
 

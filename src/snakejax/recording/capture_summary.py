@@ -151,7 +151,8 @@ def _way_up(capture: Capture, name: str, plane: Ground | None) -> str:
         return f"{usual}; the motion of {name} does not determine the vertical"
     tilt = f", {np.degrees(plane.tilt):.1f} degrees off" if plane.tilt >= LEAST_TILT else ""
     if not is_floor(capture, plane):
-        return f"{usual}; {name} moves in a plane across {plane.axis}{tilt}, which is no floor: --up says otherwise"
+        where = f"{name} moves in a plane across {plane.axis}{tilt}, which is not the floor"
+        return f"{usual}; {where}; change the axis with --up"
     axis = capture.up if plane.axis == capture.up[-1] else plane.axis
     why = f" ({capture.up_said})" if axis == capture.up and capture.up_said and not capture.up_open else ""
     return f"{axis}: perpendicular to the plane in which {name} moves{tilt}{why}"

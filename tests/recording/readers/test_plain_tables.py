@@ -164,7 +164,7 @@ def test_columns_without_names_have_numbers(tmp_path):
     path = put(tmp_path, text)
     capture = read_capture(path)
     assert [*capture.markers] == [""] and "columns that are not used: rotation, 6, 7, 8" in capture.notes
-    assert any("a place alone" in note for note in capture.notes)
+    assert any("a position without heading" in note for note in capture.notes)
     columns = {"qx": "rotation", "qy": "6", "qz": "7", "qw": "8"}
     np.testing.assert_allclose(read_track(path, "", FileAnnotations(columns)).pose, POSE, atol=1e-9)
     whole = {"time": "1", "x": "2", "y": "3", **columns}
@@ -176,9 +176,9 @@ def test_columns_without_names_have_numbers(tmp_path):
 def test_rows_may_be_the_clock(tmp_path, capsys):
     text = rows("x,y,yaw", x, y, M.heading)
     path = put(tmp_path, text)
-    with pytest.raises(InputError, match=r'do not tell the time: x, y, yaw.*time = "row" with units'):
+    with pytest.raises(InputError, match=r'do not show the time: x, y, yaw.*time = "row" with units'):
         read_capture(path)
-    with pytest.raises(InputError, match="what lies between them is not said"):
+    with pytest.raises(InputError, match="the time between two rows is not given"):
         read_capture(path, FileAnnotations({"time": "row"}))
     track = read_track(path, "", FileAnnotations({"time": "row"}, {"time": "0.01 s"}))
     np.testing.assert_allclose(track.pose, POSE, atol=1e-12)
@@ -260,12 +260,12 @@ def test_a_marker_may_be_called_by_a_letter(tmp_path):
 
 def test_speeds_and_forces_are_no_markers(tmp_path):
     text = rows("time,vel_x,vel_y,vel_z,acc_x,acc_y,acc_z,gyro_x,gyro_y,gyro_z,F_x,F_y,F_z", t, *[x] * 12)
-    with pytest.raises(InputError, match="do not tell x and y"):
+    with pytest.raises(InputError, match="do not show x and y"):
         read_capture(put(tmp_path, text))
 
 
 def test_a_quaternion_called_x_y_z_w_is_no_place(tmp_path):
-    with pytest.raises(InputError, match="do not tell x and y"):
+    with pytest.raises(InputError, match="do not show x and y"):
         read_capture(put(tmp_path, rows("time,w,x,y,z", t, qw, qx, qy, qz)))
 
 

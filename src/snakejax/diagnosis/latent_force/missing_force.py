@@ -167,7 +167,7 @@ def _with_coexisting_effects(
     """The latent force beside those of the `added` effects that stay significant there, one after the other."""
     criteria, now, rest = candidate_set.criteria, alone, list(added)
     while rest and now.left > 1 + criteria.force_explained_excess:
-        text = f"does {' or '.join(rest)} stay significant beside the missing force?"
+        text = f"does {' or '.join(rest)} stay significant together with the missing force?"
         progress(ProgressEvent(Phase.COEXISTING_EFFECTS, text))
         known = (*step.effects, *(name for name in now.beside if name != LATERAL_SLIP_SWITCH))
         steps = [CandidateFit((*known, name), step.solution) for name in rest]

@@ -132,7 +132,7 @@ def predicting_steps(steps: Sequence[WorkingStep], progress: Progress) -> list[W
     than a step before it does."""
     if len(steps) < 2:
         return list(steps)
-    progress(ProgressEvent(Phase.PREDICTION, "does each step predict runs that were left out?"))
+    progress(ProgressEvent(Phase.PREDICTION, "does each step predict omitted runs?"))
     expected = [expected_misfits(step.candidate_set, step.step).mean() for step in steps]
     return list(steps[: int(np.argmin(expected)) + 1])
 
@@ -171,7 +171,7 @@ def best_laws(
                 laws, candidate_set, fit, run_misfits(candidate_set.problem, fit.solution, candidate_set.train)
             )
         # Far from the noise a linear model says nothing about runs left out.
-        progress(ProgressEvent(Phase.PREDICTION, f"does {texts} predict runs that were left out?"))
+        progress(ProgressEvent(Phase.PREDICTION, f"does {texts} predict omitted runs?"))
         return AddedLaws(laws, candidate_set, fit, left_out_misfits(candidate_set, fit))
 
     best = None

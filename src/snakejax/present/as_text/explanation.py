@@ -75,7 +75,7 @@ def _dependence(explanation: Explanation) -> RenderableType:
         size += " It is estimated with separately slipping wheelsets, where it is smaller than with coupled ones."
     known = explanation.final.description_of
     survivors = [
-        Text(f"Still significant beside it: {effect}: {known(effect)} {values_text(estimates)}")
+        Text(f"Still significant together with it: {effect}: {known(effect)} {values_text(estimates)}")
         for effect, estimates in coexisting_effects(explanation).items()
     ]
     if missing.shape is None:

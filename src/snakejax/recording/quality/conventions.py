@@ -109,8 +109,8 @@ def _signs(evidence: Sequence[AxisEvidence], axis: int) -> list[Finding]:
 
 def _turned(axis: int) -> Finding:
     points = POINTS[axis]
-    what = f"the board goes as if the x axis of its object pointed {points}"
-    remedy = f'if so, write x_axis = "{points}" for its runs (where one stands already, turn it as far again)'
+    what = f"the board moves as if the x axis of its object pointed {points}"
+    remedy = f'if so, write x_axis = "{points}" for its runs (if x_axis is set already, turn it by the same angle)'
     if points == "back":
         remedy += ", or give phi the opposite sign"
     size = float(np.pi if points == "back" else np.pi / 2)

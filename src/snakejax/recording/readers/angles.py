@@ -35,7 +35,7 @@ class Reading(NamedTuple):
     @staticmethod
     def given(angles: str) -> "Reading":
         """What the user states."""
-        return Reading(angles, f"{EULER.get(angles, VECTOR)}, as you say")
+        return Reading(angles, f"{EULER.get(angles, VECTOR)}, as given")
 
 
 def rotation_by(angles: str, values: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 4"]:
@@ -51,7 +51,7 @@ def reading_of(values: Float[np.ndarray, "n 3"]) -> Reading:
     some = values[:: max(1, len(values) // MOST_FRAMES)]
     some = some[np.isfinite(some).all(axis=1)]
     if not len(some):
-        return Reading(HELICAL, f"{VECTOR}, as Tracker usually writes it: the body was never seen")
+        return Reading(HELICAL, f"{VECTOR}, the default of Tracker: the body was never tracked")
     read = {angles: rotation_by(angles, some) for angles in ANGLES}
     headings = [_heading(read[angles]) for angles in (HELICAL, "xyz")]
     if np.abs(_wrapped(headings[0] - headings[1])).max() < SAME:
@@ -64,16 +64,20 @@ def reading_of(values: Float[np.ndarray, "n 3"]) -> Reading:
     euler = "XYZ" if swing["XYZ"] * LEAST_RATIO < swing["xyz"] else "xyz"
     shown = {angles: f"{math.degrees(size):.2g} degrees" for angles, size in swing.items()}
     if swing[euler] * LEAST_RATIO < swing[HELICAL] and swing[euler] < MOST_SWING:
-        description = f"{EULER[euler]}: so the body's normal swings by {shown[euler]}, as {VECTOR} by {shown[HELICAL]}"
+        description = (
+            f"{EULER[euler]}: the normal of the body then swings by {shown[euler]}; as {VECTOR}, by {shown[HELICAL]}"
+        )
         return Reading(euler, description)
     if swing[HELICAL] * LEAST_RATIO < swing[euler] and swing[HELICAL] < MOST_SWING:
-        description = f"{VECTOR}: so the body's normal swings by {shown[HELICAL]}, as Euler angles by {shown[euler]}"
+        description = (
+            f"{VECTOR}: the normal of the body then swings by {shown[HELICAL]}; as Euler angles, by {shown[euler]}"
+        )
         return Reading(HELICAL, description)
     long = float(np.linalg.norm(some, axis=1).max())
     if long > math.pi:
         why = f"it is up to {math.degrees(long):.0f} degrees long"
     else:
-        why = "as Tracker usually writes it; the motion does not tell"
+        why = "the default of Tracker; the motion does not show it"
     return Reading(HELICAL, f"{VECTOR}, {why}")
 
 

@@ -76,7 +76,7 @@ def columns_of(names: Sequence[str], units: Sequence[str], hints: FileAnnotation
 def _unclear(names: Sequence[str], clock: bool, placed: bool, where: str) -> InputError:
     listed = ", ".join(shown(name or str(i + 1), 20) for i, name in enumerate(names[:10]))
     lacks = "x and y" if clock else "the time" if placed else "time, x and y"
-    what = f"The names of the columns do not tell {lacks}: {listed}{', ...' if len(names) > 10 else ''}"
+    what = f"The names of the columns do not show {lacks}: {listed}{', ...' if len(names) > 10 else ''}"
     remedy = f"say which they are: {_EXAMPLE} in case.toml, or option --columns"
     if placed:
         remedy += f'; time = "{ROW}" with units = {{time = "0.01 s"}} where rows come every 0.01 s'
@@ -118,8 +118,8 @@ def _mapped(
             known = " or ".join(UNITS[quantity or "length"])
             raise InputError(f'Unknown unit "{shown(unit)}" of column {shown(name)}', where, f"write {known} in units")
         if i == COUNTED and not unit:
-            remedy = 'write units = {time = "0.01 s"}, or whatever lies between two rows'
-            raise InputError("The rows are counted, and what lies between them is not said", where, remedy)
+            remedy = 'write units = {time = "0.01 s"}, or the actual time between two rows'
+            raise InputError("The rows are the clock, but the time between two rows is not given", where, remedy)
         mapped.append(Column("", role, i, unit))
     return mapped
 
@@ -198,7 +198,9 @@ def capture_of(
     units = ", ".join(dict.fromkeys(c.unit for c in columns if c.unit))
     notes = [*assumed, *_unused(names, columns)]
     if "" in markers:
-        notes.append("a place alone, without heading or quaternion, is no pose of a board: --columns names theirs")
+        notes.append(
+            "a position without heading or quaternion is not a pose of a board; name their columns with --columns"
+        )
     return Capture(format, source.path, where, None, units, bodies, markers, times, notes=notes, assumed=assumed)
 
 
