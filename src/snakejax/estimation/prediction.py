@@ -35,6 +35,7 @@ HISTORY, AHEAD = 3.0, 0.5
 STRENGTHS = (0.0, *np.logspace(0, 9, 28))
 """Model errors that are tried: by how much the variance of the oldest frame of a lead-in is larger than its noise."""
 LEAST_NOISE = 1e-6
+"""Lower limit of the noise [m, rad], so that a recording without noise has finite weights."""
 
 
 class PredictionError(NamedTuple):

@@ -12,8 +12,12 @@ from .readers.motion_plane import Ground, arms, ground_of, is_rigid
 from .readers.planar_pose import subjects
 
 LEAST_TILT, MOST_TILT = np.deg2rad(0.5), np.deg2rad(10.0)
+"""Angle between the normal of motion and an axis of the file: below the first, the axis itself is up; above the second,
+the plane is not the floor."""
 MOST_LISTED = 24
+"""Objects or markers of a summary; the JSON has all."""
 LEAST_SHARE = 0.8
+"""Only markers seen in more than this share of the frames show the plane of motion."""
 
 
 class Coverage(NamedTuple):

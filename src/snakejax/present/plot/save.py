@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from snakejax.core.files import write_whole
 
 DPI = 150
+"""Resolution of the PNG files [dots per inch]."""
 
 
 def save(figure: Figure, folder: Path | str, name: str) -> list[Path]:

@@ -14,6 +14,7 @@ from .page import Cell, Page, Row, Section, cells, plain_sentences, render, tabl
 
 SIDES = {"before": ("best known", BASE), "after": ("tuned", LineStyle(HELDOUT, "solid"))}
 ENOUGH = 0.95
+"""Probability of the right answer for which the repeats of a run are counted."""
 
 
 def tune_page(result: Json) -> str:

@@ -22,8 +22,11 @@ SAME = 1e-5
 LEAST_RATIO = math.pi / 2
 """The noise of a level body's tilt differs so much between two readings by itself: 2 sin(a/2) / a, up to a = pi."""
 MOST_SWING = math.radians(10.0)
+"""A board on a floor tilts less; a reading with more swing is wrong."""
 MOST_FRAMES, ROUNDS = 20_000, 6
+"""Frames that are compared, and rounds of the reweighting."""
 _NO_NOISE = 1e-9
+"""Lower limit [rad] of the angle in a weight."""
 
 
 class Reading(NamedTuple):

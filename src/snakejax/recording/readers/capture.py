@@ -21,6 +21,8 @@ ANGLE = {"rad": 1.0, "deg": math.pi / 180}
 TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
 LONGEST_SKIP = 100_000
 MOST_COLUMNS, HEADER_LINES = 30_000, 40
+"""Limits beyond which a file is damaged: frames that a number skips, columns of a table, and lines in which these are
+counted."""
 
 
 class Body(NamedTuple):

@@ -16,6 +16,7 @@ DATE = re.compile(
 )
 TIME_OF_DAY = re.compile(r"(\d{1,2}):(\d{2}):(\d{2})(?:[.,](\d{1,9}))?")
 DAY = 86400.0
+"""Seconds of a day."""
 
 
 def is_date(cell: str) -> bool:

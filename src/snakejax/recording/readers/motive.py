@@ -26,6 +26,7 @@ from .rotations import from_euler, require_unit
 
 LENGTHS = {"Meters": "m", "Centimeters": "cm", "Millimeters": "mm", "Inches": "in", "Feet": "ft"}
 MOST_HEADER_ROWS = 12
+"""Rows that are searched for the row of titles; Motive writes about seven before the data."""
 BODIES = ("Rigid Body", "Bone")
 MARKERS = ("Marker", "Rigid Body Marker", "Bone Marker")
 

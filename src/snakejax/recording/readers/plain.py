@@ -25,6 +25,7 @@ from .names import AXES, UNIT_OF, without_unit
 from .numeric_table import Rows, all_at_once, numbers
 
 MOST_COMMENTS = 100
+"""Lines of comment that may stand before a table."""
 TUM = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
 _AXIS = re.compile(r"[xyz]( ?[\[(]\w+[\])])?", re.IGNORECASE)
 _SEPARATOR = re.compile(r"sep=[,;\t]?", re.IGNORECASE)
@@ -98,8 +99,9 @@ def _joined(above: list[str], below: list[str]) -> list[str]:
         if _AXIS.fullmatch(axis):
             last = own or last
             marker, unit = without_unit(last)
-            own_unit = f" ({unit})" if unit and _AXIS.fullmatch(axis)[1] is None else ""
-            names.append(f"{marker}.{axis}{own_unit}" if marker else axis)
+            if unit and not without_unit(axis)[1]:
+                axis = f"{axis} ({unit})"
+            names.append(f"{marker}.{axis}" if marker else axis)
         else:
             last = ""
             names.append(axis if axis and not own else f"{own} {axis}".strip())

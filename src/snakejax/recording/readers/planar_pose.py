@@ -15,8 +15,11 @@ from .rigid_body import LEAST_SPREAD, Placed, placed
 from .rotations import AXES, heading_of, unwrapped, upright
 
 FEWEST_SAMPLES = 10
+"""Samples below which no object counts as tracked."""
 FARTHEST = 1e9
+"""A pose beyond [m, rad] is a damaged number."""
 WORST_TEMPLATE = 0.2
+"""Usual residual of the markers, as a share of their spread, above which the template is wrong."""
 
 
 class PoseTrack(NamedTuple):
