@@ -26,8 +26,8 @@ LEAST_LIMIT = 0.001
 """A frame is bad above so many times the residual of the best tenth of the frames, and above this residual [m]."""
 FEWEST_TO_TRUST = 3
 MOST_TO_TURN = 9
-"""Markers that a corrected frame must keep, and up to which rotations of three labels are tried, whose number grows with
-the cube."""
+"""Markers that a corrected frame must keep, and up to which rotations of three labels are tried; their number grows as
+m^3."""
 
 
 class Placed(NamedTuple):
