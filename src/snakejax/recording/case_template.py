@@ -128,7 +128,7 @@ def toml_string(text: str) -> str:
 
 
 def write_template(folder: Path | str, kind: str = "snakeboard") -> Path:
-    """Write `template()`, or that of the vehicle `kind`, to `case.toml` in `folder`; the path written.
+    """Write a commented `case.toml` for the vehicle `kind` into `folder`, and return its path.
 
     **Raises:** `InputError` where there already is a `case.toml`, or `folder` cannot be written.
     """

@@ -7,7 +7,7 @@ from snakejax.recording.run import Case
 
 
 class SelectionCriteria(NamedTuple):
-    """What counts as significant, as enough, as near, and how wide the search for missing effects is.
+    """The thresholds of the selection of effects, and the width of the search.
 
     *Misfit* is chi^2 per sample: the mean squared residual over the variance of the noise, 1 where a model leaves only
     noise. *Excess* is misfit - 1: what a model leaves beyond noise. Change single numbers with

@@ -13,7 +13,7 @@ DPI = 150
 
 
 def save(figure: Figure, folder: Path | str, name: str) -> list[Path]:
-    """Write `figure` to NAME.png and NAME.svg in `folder`, made where it is not there; the paths written.
+    """Write `figure` to NAME.png and NAME.svg in `folder`, which is created if necessary; return their paths.
 
     **Raises:** `InputError` where they cannot be written.
     """
