@@ -100,7 +100,9 @@ def _strokes(pose: Sequence[Sequence[float]], length: float, look: LineStyle) ->
         np.stack([start, start + length * along, np.full_like(start, np.nan)], axis=1).ravel()
         for start, along in ((x, np.cos(heading)), (y, np.sin(heading)))
     ]
-    return line(*ends, "heading", LineStyle(look.colour, "solid"), width=1.5, showlegend=False, hoverinfo="skip")
+    return line(
+        ends[0], ends[1], "heading", LineStyle(look.colour, "solid"), width=1.5, showlegend=False, hoverinfo="skip"
+    )
 
 
 def _limit_unit(name: str) -> str:
