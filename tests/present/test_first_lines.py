@@ -368,8 +368,10 @@ def test_a_title_is_not_precise_to_nanometres() -> None:
         "tuned: off by less than 0.002 mm and 0.002 mrad",
         "target",
     ]
-    target = charts(page)["chart-path"]["data"][-1]
-    assert (target["name"], target["x"], target["y"]) == ("target position", [0.5], [0.3])
+    *_, target, _, _, stroke = charts(page)["chart-path"]["data"]
+    assert (target["name"], target["x"], target["y"]) == ("target pose", [0.5], [0.3])
+    start, end = ([stroke["x"][k], stroke["y"][k]] for k in range(2))
+    assert start == [0.5, 0.3] and np.arctan2(end[1] - 0.3, end[0] - 0.5) == pytest.approx(1.0, abs=1e-4)
 
 
 STOPPED = ("base", "rotor_gain", "quadratic_drag", "lateral_skid")

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..as_json.values import Json
-from ..as_text.errors import POSE_ERRORS, missed_text, target_pose
+from ..as_text.errors import OBJECTIVE_UNITS, POSE_ERRORS, missed_text, target_pose
 from ..as_text.tables import number
 from ..style import BASE, HELDOUT, MEASURED, TRAIN, LineStyle
 from .chart import EQUAL, Chart, Trace, axes, line, points
@@ -46,7 +46,7 @@ def _achieved(result: Json) -> str:
         )
     if "information" in result:
         return "the run that determines the tyre parameters best."
-    unit = {"distance": " m", "turn": " rad"}.get(result["asked"], "")
+    unit = OBJECTIVE_UNITS.get(result["asked"], "")
     before = result["before"]
     known = before and before["objective"]
     was = "" if known is None else f", where the best known gait has {_objective_text(known, unit)}"
