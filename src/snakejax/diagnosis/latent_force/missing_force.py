@@ -1,5 +1,5 @@
-"""The missing force: what must be added to a model that no known effect repairs, what it depends on, and which known
-effects survive beside it.
+"""The missing force of a model that no known effect explains: its estimate, the variables on which it depends, and the
+known effects that stay significant together with it.
 """
 
 import dataclasses

@@ -146,10 +146,11 @@ def rivals_of(laws: Sequence[ProposedLaw]) -> list[ProposedLaw]:
 def best_laws(
     case: Case, noise: Noise, like: WorkingStep, last: WorkingStep, missing: LatentForce, progress: Progress
 ) -> list[AddedLaws]:
-    """The best of the first few laws of `missing` on whole train runs, added to `like` beside the effects that survive
-    beside the force; then the same with a second law where that predicts train runs left out better yet.
+    """The best of the first few laws of `missing` on whole train runs, added to `like` with the effects that stay
+    significant together with the force; then also with a second law, if it improves the prediction of omitted train
+    runs.
 
-    None where no law predicts them better than `like` and `last` do.
+    Empty if no law predicts them better than `like` and `last`.
     """
     beside = tuple(name for name in missing.beside if name != LATERAL_SLIP_SWITCH)
     effects = tuple(dict.fromkeys((*like.step.effects, *beside)))

@@ -32,7 +32,7 @@ CLIP = 4.0
 FEWEST = 30
 """Numbers that an estimate needs."""
 COLOURED = 1.15
-"""Slower noise is believed where a source that sees it says so many times as much as the differences."""
+"""Slower noise is accepted if a source that includes it gives so many times the value of the differences."""
 REST = 1.0
 """Length [s] of the stretches that are searched for rest."""
 STILL = 1e-3

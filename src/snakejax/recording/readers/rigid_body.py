@@ -81,7 +81,7 @@ def placed(
     up: Float[np.ndarray, "3"],
     weights: Float[np.ndarray, " m"] | None = None,
 ) -> Placed:
-    """The pose of the template in every frame; frames that do not fit are mended, or else lost."""
+    """The pose of the template in every frame; frames that do not fit are corrected, or count as lost."""
     parts = [kabsch(template, points[i : i + AT_ONCE], up, weights) for i in range(0, len(points), AT_ONCE)]
     R, t, residual = (np.concatenate(part) for part in zip(*parts, strict=True))
     limit = limit_of(residual)
