@@ -257,7 +257,7 @@ def _with_units(
             assumed[c] = unit_of_angle(values[c.column_index], times, where)
     taken = {quantity: dict.fromkeys(unit for c, unit in assumed.items() if c.quantity == quantity) for quantity in SI}
     phrases = [f"the {PLURAL[quantity]} (read in {' and '.join(units)})" for quantity, units in taken.items() if units]
-    note = f"no unit is stated for {' and '.join(phrases)}; --units changes this"
+    note = f"no unit is stated for {', '.join(phrases)}; --units changes this"
     return [c._replace(unit=assumed.get(c, c.unit)) for c in columns], [note]
 
 
