@@ -266,3 +266,11 @@ def test_a_log_cannot_be_written_as_sines() -> None:
         joint_log(Gait(Sines.of([]), Sines.of([])))
     with pytest.raises(InputError, match="Nothing limits"):
         Limits.of({"phi": 0.5})
+
+
+def test_limits_by_keyword() -> None:
+    assert Limits(phi=0.9, psi=1.6, psi_rate=6.5) == Limits.of({"phi": 0.9, "psi": 1.6, "psi_rate": 6.5})
+    with pytest.raises(InputError, match="Nothing limits the angle of `psi`"):
+        Limits(phi=0.9, psi_rate=6.5)
+    with pytest.raises(InputError, match="There is no limit `psi_speed`"):
+        Limits(phi=0.9, psi=1.6, psi_speed=6.5)

@@ -206,7 +206,7 @@ def level(level_workspace):
 
 @pytest.mark.slow
 def test_level_board_is_fitted_to_the_noise(level, level_workspace):
-    assert level.train_score.misfit <= 1.03
+    assert level.misfit == level.train_score.misfit <= 1.03
     assert level.heldout_score.misfit <= 1.05
     assert np.abs(deviations(level_workspace.problem, level_workspace.solution, LEVEL_KEY)).max() < 3
     assert all(estimate.determined for estimate in level.estimates.values())

@@ -214,11 +214,12 @@ def test_what_remains_says_with_what_it_goes() -> None:
     rest = Remainder(3.2e-3, 4.5e-3, depends)
     found = dataclasses.replace(story(verdict="explained"), floor=floor, remainder=rest)
     text = joined(shown(explanation_text(found)))
-    assert "leaves 3.20 mm and 4.50 mrad above that" in text
-    assert "a share goes with rotor_rate (31%) and world_position (2%)" in text
+    assert "The error of the model is 3.20 mm and 4.50 mrad above that" in text
+    assert "residuals in train runs depends on rotor_rate (31%) and world_position (2%)" in text
     assert "one of these laws" not in text
     undecided = dataclasses.replace(found, remainder=rest._replace(laws=("east = b * x", "east = b * y")))
-    assert "one of these laws: east = b * x; or east = b * y." in joined(shown(explanation_text(undecided)))
+    laws = "one of these laws may be missing: east = b * x; or east = b * y."
+    assert laws in joined(shown(explanation_text(undecided)))
     alone = dataclasses.replace(found, remainder=rest._replace(depends_on=()))
     assert "depend on no variable (5%)" in joined(shown(explanation_text(alone)))
 
@@ -367,8 +368,10 @@ def test_a_title_is_not_precise_to_nanometres() -> None:
         "tuned: off by less than 0.002 mm and 0.002 mrad",
         "target",
     ]
-    target = charts(page)["chart-path"]["data"][-1]
-    assert (target["name"], target["x"], target["y"]) == ("target position", [0.5], [0.3])
+    *_, target, _, _, stroke = charts(page)["chart-path"]["data"]
+    assert (target["name"], target["x"], target["y"]) == ("target pose", [0.5], [0.3])
+    start, end = ([stroke["x"][k], stroke["y"][k]] for k in range(2))
+    assert start == [0.5, 0.3] and np.arctan2(end[1] - 0.3, end[0] - 0.5) == pytest.approx(1.0, abs=1e-4)
 
 
 STOPPED = ("base", "rotor_gain", "quadratic_drag", "lateral_skid")

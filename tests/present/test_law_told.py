@@ -77,7 +77,7 @@ def test_a_saved_law_that_is_none_is_refused(tmp_path: Path) -> None:
 def test_the_first_lines_tell_formula_values_and_rivals() -> None:
     lines = " ".join(line for _, line in first_lines(told()))
     assert EXPRESSION in lines and "s = 4.000 +- 0.010 rad/s" in lines
-    assert "Almost as well over short windows: grip = 1 - a * rotor_rate ** 2." in lines
+    assert "Over short windows these laws fit almost as well: grip = 1 - a * rotor_rate ** 2." in lines
     assert "rotor rate 82%" in lines
 
 
@@ -88,7 +88,7 @@ def test_a_rival_that_is_far_off_is_said_to_be() -> None:
 def test_a_law_that_leaves_more_than_noise_is_told_to_lower_the_error() -> None:
     lines = [line for _, line in first_lines(told(verdict="unexplained"))]
     assert any(line.startswith("Lowers the error: law_1") for line in lines)
-    assert not any("Still significant beside the missing force" in line for line in lines)
+    assert not any("Still significant together with the missing force" in line for line in lines)
 
 
 @pytest.mark.slow

@@ -270,3 +270,15 @@ def test_a_car_is_drawn_with_its_wheels_where_the_model_has_them() -> None:
         wheel = np.stack([middle - along, middle + along], axis=1)
         assert any(line.shape == (2, 2) and np.allclose(line, wheel, atol=1e-9) for line in drawn)
     assert len(plot.snapshots(view, car, count=4).axes[0].lines) == len(drawn) + 3 * (len(car.outline()) + 2 * (2 + 1))
+
+
+def test_results_of_a_gait_have_units() -> None:
+    t = [0.1 * k for k in range(20)]
+    path = dict.fromkeys(("t", "x", "y", "heading", "phi", "psi"), t)
+    result = {"case": "small", "asked": "distance", "objective": 1.25, "limits": {"phi": 0.9, "psi": 1.6}}
+    sides = {"before": {"path": path, "objective": 0.5}, "after": {"path": path, "objective": 1.25}}
+    figure = plot.tuned({**result, **sides, "spread": [1.2, 1.3]})
+    legend = figure.axes[0].get_legend()
+    assert legend is not None
+    assert [part.get_text() for part in legend.get_texts()] == ["best known: 0.5 m", "tuned: 1.25 m"]
+    assert figure.axes[-1].get_ylabel() == "distance [m]"

@@ -184,6 +184,9 @@ def test_a_tuned_gait(browser, tmp_path) -> None:
     assert "1.25 m, where the best known gait has 0.5 m" in seen.page.inner_text("h1")
     assert seen.traces("spread-objective")[0]["y"] == [1.2, 1.3, 1.1]
     assert [trace["name"] for trace in seen.traces("psi")] == ["best known", "tuned"]
+    strokes = [trace for trace in seen.traces("path") if trace["name"] == "heading"]
+    assert len(strokes) == 2 and strokes[0]["x"][3:5] == pytest.approx([0.1, 0.1 + 0.05 * 1.9 * np.cos(0.1)], 1e-5)
+    assert re.search(r"psi_rate\s+\S+\s+\S+\s+rad/s\b", seen.page.inner_text("body"))
 
 
 @pytest.mark.slow

@@ -180,7 +180,7 @@ def test_a_plane_that_is_no_floor_is_said(tmp_path, capsys):
     lean = Rotation.from_rotvec([0.5, 0.0, 0])
     climbing = m._replace(position=lean.apply(m.position), rotation=lean * m.rotation)
     imported(put(tmp_path, tracker({"board": climbing})), "--out", tmp_path / "case", *GIVEN)
-    assert "28.6 degrees off, which is no floor: --up" in capsys.readouterr().out
+    assert "28.6 degrees off, which is not the floor; change the axis with --up" in capsys.readouterr().out
     assert "up =" not in (tmp_path / "case" / "case.toml").read_text()
 
 

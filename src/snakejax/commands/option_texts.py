@@ -9,6 +9,7 @@ from typing import NamedTuple
 from snakejax.core.errors import InputError
 
 USUAL_THRESHOLD = 3.0
+"""Threshold of Huber's loss in standard deviations: of normal noise 0.3% of the samples lie beyond it."""
 
 
 class EffectSpec(NamedTuple):

@@ -26,6 +26,7 @@ from .named_effects import EffectArguments
 
 HORIZONS = (1.0, 2.0, 3.0)
 LEAD = 0.5
+"""Default horizons and lead-in [s] of `predict`."""
 
 
 class PredictionResult(NamedTuple):

@@ -4,7 +4,7 @@ They apply to the command of a joint and to its motion under the controller of e
 """
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -36,14 +36,28 @@ class Limit(NamedTuple):
     acceleration: float = np.inf
 
 
-class Limits(NamedTuple):
-    """Limits of the steering joint (phi) and the rotor joint (psi)."""
-
+class _JointLimits(NamedTuple):
     phi: Limit
     psi: Limit
 
+
+class Limits(_JointLimits):
+    """Limits of the steering joint (phi) and the rotor joint (psi): `Limits(phi=0.9, psi=1.6, psi_rate=6.5)`.
+
+    **Arguments:** `phi`, `psi`: largest angle [rad], or a `Limit`; `others`: `phi_rate` and `psi_rate` [rad/s],
+    `phi_acceleration` and `psi_acceleration` [rad/s^2].
+    **Raises:** `InputError` for an unknown name, a number not above 0, or an angle without limit.
+    """
+
+    __slots__ = ()
+
+    def __new__(cls, phi: Limit | float = np.inf, psi: Limit | float = np.inf, **others: float) -> "Limits":
+        if isinstance(phi, Limit) and isinstance(psi, Limit):
+            return super().__new__(cls, phi, psi)
+        return cls.of({"phi": phi, "psi": psi} | others)
+
     @staticmethod
-    def of(values: Mapping[str, float], otherwise: "Limits | None" = None) -> "Limits":
+    def of(values: Mapping[str, Any], otherwise: "Limits | None" = None) -> "Limits":
         """Limits from {"phi": 0.9, "psi_rate": 6.5, ...}; missing ones are taken from `otherwise`.
 
         **Raises:** `InputError` for an unknown name, a number not above 0, or an angle without limit.

@@ -71,7 +71,7 @@ class BaseDiagnosis(NamedTuple):
 def diagnose(
     case: Case, noise: Noise, library: Mapping[str, Effect], **question: Unpack[DiagnosisOptions]
 ) -> Diagnosis:
-    """Rank the effects of `library` by how well each would explain what the base model leaves of the train runs.
+    """Rank the effects of `library` by how much of the error of the base model in the train runs each would explain.
 
     Nothing is added: all candidates are scored at the base fit, the best few refitted beside it.
 

@@ -93,19 +93,20 @@ class Remainder(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Explanation(Tabular):
-    """The whole story: `steps[0]` is the base, the last one the final model.
+    """The result of `explain`: `steps[0]` is the base model, the last step the final model.
 
-    `verdict`: "adequate", "explained" or "unexplained". `effects`: what explains the recordings, or of those that stay
-    unexplained what survives beside the missing force. `partial`: what helped without explaining. `left_out`:
-    candidates that do not apply, with the reason. `missing`: the force that the base lacks, where nothing explains it;
-    None where there is but one train run to learn it from.
+    `verdict`: "adequate", "explained" or "unexplained". `effects`: the effects that explain the recordings; with the
+    verdict "unexplained", those that stay significant together with the missing force. `partial`: effects that lower
+    the error without explaining it. `left_out`: candidates that do not apply, with the reason. `missing`: the force
+    that the base lacks, if nothing explains it; None if there is only one train run.
 
-    Where they were found: by effect its `confidence` ("sure", "likely", "stand_in" or "ambiguous") and its `share` of
-    the squared error on runs left out, `explained_share` of all together; the `floor` that vehicle and cameras leave,
-    the `remainder` above it; the `candidates` of every step; and the `constants` of the vehicle, by name, which were
-    estimated within what is known of them. `bands`: the predictive check of each run; `odd_runs`: train runs that
-    differ from the others. `law`: the force in which a law among the effects was found, None without one.
-    `calibrated`: where nothing was added, the base with the constants of the vehicle as they were estimated.
+    `confidence` of each effect: "sure", "likely", "stand_in" or "ambiguous". `share`: the share of the squared error of
+    omitted runs that each effect removes; `explained_share`: that of all effects together. `floor`: the error that the
+    vehicle and the cameras cause by themselves; `remainder`: the error above it. `candidates`: those of every step.
+    `constants`: the constants of the vehicle, estimated within their uncertainty. `bands`: the predictive check of each
+    run. `odd_runs`: train runs that differ from the others. `law`: the force in which a law among the effects was
+    found, None without one. `calibrated`: if nothing was added, the base model with the estimated constants of the
+    vehicle.
     """
 
     case: Case

@@ -154,7 +154,7 @@ def shaped(signal: AbstractSignal, by: Shape) -> AbstractSignal:
 
 
 class Actuator(eqx.Module):
-    """What stands between a command and what acts: dead band, gain, offset, saturation, then a lag.
+    """The actuator of one input: dead band, gain, offset and saturation, then a first-order lag.
 
     y = clip(gain (c - clip(c, -dead_band, dead_band)) + offset, -saturation, saturation)    lag: tau z' = y - z
     """

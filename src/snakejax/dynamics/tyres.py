@@ -75,6 +75,7 @@ class Rayleigh(AbstractTyre):
 _A = (-22.1, 1011.0, 1078.0, 1.82, 0.208, 0.0, -0.354, 0.707, 0.028, 0.0, 14.8, 0.022)
 """Coefficients a1 to a12 (Bakker, Nyborg and Pacejka 1987), with loads in kN and angles in degrees."""
 _DEGREES = 180 / jnp.pi
+"""Degrees in a radian."""
 
 
 class Bakker(AbstractTyre):

@@ -113,7 +113,7 @@ class CombinedSlip(LateralForce):
 
 
 class InertiaFactor(Geometry):
-    """inertia (1 + g): the yaw inertia is not what case.toml says."""
+    """inertia (1 + g): the yaw inertia differs from the value in case.toml."""
 
     description = "The yaw inertia is larger than stated, or smaller."
     equivalent_constant: ClassVar[dict[str, str]] = {"g": "inertia"}

@@ -83,7 +83,7 @@ class InputGain(InputEffect):
 
 
 class InputAsymmetry(InputEffect):
-    """y = (1 + a tanh(30 c)) c: more to the left than to the right for a > 0."""
+    """y = (1 + a tanh(30 c)) c: for a > 0 the input acts more strongly to the left than to the right."""
 
     description = "The input acts more strongly to one side than to the other."
     order: ClassVar[int] = 2
@@ -116,7 +116,7 @@ class _Fading(AbstractSignal):
 
 
 class InputFading(InputEffect):
-    """y = (1 - b t) c: the input loses force with the time t of the run, as on a battery that empties."""
+    """y = (1 - b t) c: the input becomes weaker with the time t of the run, as with a discharging battery."""
 
     description = "The drive loses force in the course of a run: an emptying battery."
     order: ClassVar[int] = 4

@@ -38,7 +38,7 @@ class GripSplit(LateralForce):
 
 
 class StribeckGrip(LateralForce):
-    """The lateral force F_i is another at small slip speed than the law says.
+    """The lateral force F_i differs from the tyre law at small slip speed.
 
         F_i (1 + s exp(-(v_i / v_s)^2))
 
@@ -56,7 +56,7 @@ class StribeckGrip(LateralForce):
 
 
 class GripGradient(TyreModifier):
-    """The friction of the ground changes along the x axis of the cameras; B stays.
+    """The friction of the ground changes along the x axis of the cameras; B is unchanged.
 
         D (1 + g x), or k_s (1 + g x)
 
@@ -96,7 +96,7 @@ class TyreOffset(TyreModifier):
 
 
 class TyreRelaxation(TyreState):
-    """The tyre builds up its force only over a rolled distance: it sees m in place of the slip angle delta.
+    """The tyre builds up its force only over a rolled distance: m takes the place of the slip angle delta.
 
         dm/dt = (|a_i| + 0.02 m/s) / sigma (delta - m), m = 0 at the start; m = delta for sigma = 0
 

@@ -56,6 +56,11 @@ class Fit(Tabular):
         """All held-out runs together, or None where there are none."""
         return pooled_score(self.heldout) if self.heldout else None
 
+    @property
+    def misfit(self) -> float:
+        """The mean squared residual of all train runs in variances of the noise; 1 is noise."""
+        return self.train_score.misfit
+
     def headline(self) -> str:
         """The model, its error in multiples of the noise, and the estimates."""
         held = self.heldout_score

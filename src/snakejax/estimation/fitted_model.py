@@ -20,13 +20,12 @@ def _none() -> Float[np.ndarray, "0 0"]:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FittedModel:
-    """`model` at its fitted values, in the `recordings` it was fitted to or judged by, `R` of them.
+    """`model` with its fitted values in R `recordings`: those of the fit, or those of its validation.
 
-    `starts` (R, S): the fitted start states, poses (x, y [m], heading [rad]) or poses and velocities; `residuals`: for
-    each recording (n, 3), measured minus modelled x, y and heading in standard deviations of `noise`, NaN where nothing
-    was seen. `covariance` (k, k), of the parameters `loose` for unit noise: of steps of their values, or of their
-    logarithms where they are multiplicative; `spread`, the factor on standard errors for a misfit above noise.
-    `accuracy`: that of the simulations.
+    `starts` (R, S): fitted start states, poses (x, y [m], heading [rad]) or poses and velocities. `residuals`: for each
+    recording (n, 3), measured minus modelled x, y and heading in standard deviations of `noise`, NaN where frames were
+    lost. `covariance` (k, k): of the parameters `loose` for unit noise; of their logarithms for multiplicative ones.
+    `spread`: factor on standard errors for a misfit above noise. `accuracy`: that of the simulations.
     """
 
     model: Model

@@ -35,6 +35,7 @@ HISTORY, AHEAD = 3.0, 0.5
 STRENGTHS = (0.0, *np.logspace(0, 9, 28))
 """Model errors that are tried: by how much the variance of the oldest frame of a lead-in is larger than its noise."""
 LEAST_NOISE = 1e-6
+"""Lower limit of the noise [m, rad], so that a recording without noise has finite weights."""
 
 
 class PredictionError(NamedTuple):
@@ -82,7 +83,7 @@ def prediction_windows(recordings: Sequence[Run], lead: float, horizons: Sequenc
                 if window is not None:
                     windows.append(window._replace(noise=noise))
     if not windows:
-        what = f"No recording has {lead:g} s and {horizons[0]:g} s after them without a gap in which the vehicle moves"
+        what = f"No recording has {lead:g} s and {horizons[0]:g} s after them without a gap while the vehicle moves"
         raise InputError(what, "option --horizon", "take a shorter --lead or --horizon")
     return windows
 

@@ -72,6 +72,6 @@ def starts_of(runs: Sequence[Run], pose: Sequence[float]) -> Float[np.ndarray, "
     """
     for run in runs:
         if run.moving:
-            what = f"Run `{run.name}` was under way at its first sample, so that a pose alone is no start of it"
-            raise InputError(what, "option --start", "leave it out, and the start is estimated from the recording")
+            what = f"Run `{run.name}` already moves at its first sample, so its start needs velocities, not only a pose"
+            raise InputError(what, "option --start", "leave the start out; it is then estimated from the recording")
     return np.tile(np.asarray(pose, float), (len(runs), 1))

@@ -176,7 +176,7 @@ def warnings_about(
         if "BCD" in combinations and combinations["BCD"].determined:
             bcd = combinations["BCD"]
             text += f"; they do determine the cornering stiffness BCD = {bcd.value:.4g} +- {bcd.sd:.2g} N/rad"
-        messages.append(text + ". Runs that slip past the peak of the tyre force would tell more.")
+        messages.append(text + ". Runs with slip beyond the peak of the tyre force would determine them better.")
     for name in solution.held:
         messages.append(f"{name} ended on the bound of its physical domain, {solution.values[name]:g}.")
     if not solution.converged:

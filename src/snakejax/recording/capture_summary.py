@@ -12,8 +12,12 @@ from .readers.motion_plane import Ground, arms, ground_of, is_rigid
 from .readers.planar_pose import subjects
 
 LEAST_TILT, MOST_TILT = np.deg2rad(0.5), np.deg2rad(10.0)
+"""Angle between the normal of motion and an axis of the file: below the first, the axis itself is up; above the second,
+the plane is not the floor."""
 MOST_LISTED = 24
+"""Objects or markers of a summary; the JSON has all."""
 LEAST_SHARE = 0.8
+"""Only markers seen in more than this share of the frames show the plane of motion."""
 
 
 class Coverage(NamedTuple):
@@ -151,7 +155,8 @@ def _way_up(capture: Capture, name: str, plane: Ground | None) -> str:
         return f"{usual}; the motion of {name} does not determine the vertical"
     tilt = f", {np.degrees(plane.tilt):.1f} degrees off" if plane.tilt >= LEAST_TILT else ""
     if not is_floor(capture, plane):
-        return f"{usual}; {name} moves in a plane across {plane.axis}{tilt}, which is no floor: --up says otherwise"
+        where = f"{name} moves in a plane across {plane.axis}{tilt}, which is not the floor"
+        return f"{usual}; {where}; change the axis with --up"
     axis = capture.up if plane.axis == capture.up[-1] else plane.axis
     why = f" ({capture.up_said})" if axis == capture.up and capture.up_said and not capture.up_open else ""
     return f"{axis}: perpendicular to the plane in which {name} moves{tilt}{why}"

@@ -80,7 +80,7 @@ LOOSE_CLOCK = 0.5
 
 
 def load_case(folder: Path | str, *, to_train: bool = True) -> Case:
-    """The case in `folder`, as its `case.toml` says; with `to_train`, at least one run must be to train on.
+    """Read the case in `folder`; with `to_train`, require at least one train run.
 
     **Raises:** `InputError` for anything in it that cannot be used, with file, line and remedy.
     """

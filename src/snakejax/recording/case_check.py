@@ -22,8 +22,10 @@ JOINT_UNITS = ("angle_unit", "frequency_unit")
 
 
 class Issue(NamedTuple):
-    """Something doubtful in `run` (None: in the case as a whole); `remedy`: what is done or can be done; `kind`: that
-    of a finding in the recording."""
+    """A doubtful value in `run`, or in the whole case if that is None.
+
+    `remedy`: what was done or can be done; `kind`: that of a finding in the recording.
+    """
 
     run: str | None
     what: str
@@ -58,10 +60,10 @@ def run_summary(run: Run) -> RunSummary:
 def check(
     case: Case | Path | str, folder: Path | str | None = None, inspection: Inspection | None = None
 ) -> list[Issue]:
-    """Everything doubtful in `case`, the case as a whole first; `folder`, where given, is searched for unused files.
+    """The doubtful values of `case`, those of the whole case first.
 
-    A `case` given as its folder is read from there, and the folder is searched. `inspection`: what `inspect(case)`
-    found, where that is known already. **Raises:** as `load_case`.
+    `case`: a `Case`, or its folder, which is then also searched for unused files. `folder`: searched for unused files,
+    if given. `inspection`: the result of `inspect(case)`, if it exists already. **Raises:** as `load_case`.
     """
     if isinstance(case, Path | str):
         folder = case if folder is None else folder

@@ -17,6 +17,7 @@ from .readers.planar_pose import fitted, subjects, up_by
 from .readers.rotations import upright
 
 LONG_GAP = 0.1
+"""A gap of joint angles [s] above which the interpolation is reported: ten frames at 100 Hz."""
 CONVERTED = ("ROS bag",)
 
 

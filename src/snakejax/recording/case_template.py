@@ -60,7 +60,7 @@ role = "train"
 mocap = "train-1.csv"               # Vicon CSV, C3D, TRC, Motive CSV, Qualisys TSV, a ROS bag, CSV or Parquet
 object = "board:board"              # its name in the file, in Vicon's subject:segment
 # name = "first-lap"                # of the run; left out: the file's stem
-# group = "circles"                 # `snakejax predict` tells its errors for each group; left out: the role
+# group = "circles"                 # `snakejax predict` lists the errors of each group; left out: the role
 # floor = "rubber"                  # `snakejax fit --by floor` estimates values of their own for each floor,
 # day = "2024-09-04"                # day
 # session = "morning"               # or session
@@ -128,7 +128,7 @@ def toml_string(text: str) -> str:
 
 
 def write_template(folder: Path | str, kind: str = "snakeboard") -> Path:
-    """Write `template()`, or that of the vehicle `kind`, to `case.toml` in `folder`; the path written.
+    """Write a commented `case.toml` for the vehicle `kind` into `folder`, and return its path.
 
     **Raises:** `InputError` where there already is a `case.toml`, or `folder` cannot be written.
     """

@@ -14,6 +14,7 @@ LEAST_MOTION = 0.1
 """Speed [m/s] below which a vehicle stands; its yaw rate counts as the speed at `LEVER` [m]."""
 LEVER = 0.2
 SPEED_CLASSES = 3
+"""Length [m] that turns a yaw rate into a speed, half that of a small vehicle; and the number of classes of speed."""
 
 
 def continuous_parts(times: Float[np.ndarray, " n"], pose: Float[np.ndarray, "n 3"]) -> list[np.ndarray]:

@@ -16,10 +16,10 @@ from snakejax.dynamics.vehicle import AbstractVehicle
 
 
 class LogClock(NamedTuple):
-    """How the clock of a run's joint log goes: it shows t (1 + `drift`) + `offset` [s] at the cameras' time t.
+    """The clock of a joint log: at time t of the cameras it shows t (1 + `drift`) + `offset` [s].
 
-    `offset_sd` and `drift_sd` are standard errors, None for what was given; `source` says whence they are. `free` names
-    those of "offset" and "drift" that a fit is to estimate.
+    `offset_sd`, `drift_sd`: standard errors, None for given values; `source`: where the values come from. `free`: which
+    of "offset" and "drift" a fit estimates.
     """
 
     offset: float = 0.0
@@ -82,9 +82,10 @@ class Run(eqx.Module):
 
 
 class Noise(eqx.Module):
-    """Standard deviation of one sample: `position` [m] of x and of y, `heading` [rad]; `source` says whence.
+    """Standard deviation of one sample: `position` [m] of x and of y, `heading` [rad].
 
-    `correlation` [s]: time over which it wanders, where that is stated.
+    `source`: where the values come from. `correlation` [s]: time constant of correlated noise, None if it is not
+    stated.
     """
 
     position: Scalar
@@ -115,11 +116,12 @@ class NeededAccuracy(NamedTuple):
 
 
 class Case(eqx.Module):
-    """A board and its recorded runs, as a case folder describes them; the `area` from (x, y) to (x, y) [m] in which it
-    was recorded, where that is stated; by run, what `reading` its file decided that the file does not say;
-    `constant_sd`: standard deviations of constants of the board [SI] by field name, where they are stated; `needed`:
-    the accuracy that a simulation must have, where it is stated; `search`: criteria of the search for effects, by name;
-    `recordings`: the whole recordings of which the runs are, or are windows.
+    """A vehicle and its recorded runs, as a case folder describes them.
+
+    `area`: (x, y, x, y) [m], the lowest and the highest corner of the floor, None if it is not stated. `reading`: by
+    run, sentences about what the reader of its file decided. `constant_sd`: stated standard deviations of constants of
+    the vehicle [SI] by field name. `needed`: the stated accuracy that a simulation must have. `search`: criteria of the
+    search for effects, by name. `recordings`: the whole recordings; the runs are these or windows of them.
     """
 
     name: str = eqx.field(static=True)

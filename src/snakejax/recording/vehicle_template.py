@@ -27,7 +27,7 @@ _MORE = """\
 # In place of mocap, all tables of a pattern, each a long recording with its inputs in further columns. It is cut into
 # windows at gaps, at most so many of a file, chosen so that slow and fast, steady and varying ones are among them:
 # files = "day1_*.csv"              # or a list of patterns
-# group = "circles"                 # `snakejax predict` tells its errors for each group; left out: the role
+# group = "circles"                 # `snakejax predict` lists the errors of each group; left out: the role
 # floor = "rubber"                  # `snakejax fit --by floor` estimates values of their own for each floor,
 # day = "2024-09-04"                # day
 # session = "morning"               # or session

@@ -71,7 +71,9 @@ def nearest_rayleigh(
     import xarray
 
     if isinstance(model.tyre, Rayleigh) or not model.constraint.slips:
-        raise ValueError("A Rayleigh or ideal board needs no other to come near it: vary those of a Pacejka board.")
+        raise ValueError(
+            "The nearest Rayleigh board is found for Pacejka boards only: vary a parameter of a Pacejka board."
+        )
     axes = require_axes(model, over)
     columns = evaluate(_nearest, model, gait, times, axes, how)
     results = {name: axes.effective_vehicle(column) for name, column in columns.items()}

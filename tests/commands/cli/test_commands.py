@@ -121,6 +121,7 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [
         (("fly",), "There is no command `fly`, argument COMMAND: remove it or write one that is known (known: check, "),
         (("comparre", LEVEL), 'There is no command `comparre`, argument COMMAND: write "compare"'),
+        (("separate", LEVEL), 'There is no command `separate`, argument COMMAND: write "design"'),
         (("fit", LEVEL, "--skid", "fre"), '`fre` is not a value of --skid, option --skid: write "free" (known: free,'),
         (("fit",), "required: CASE"),
         (("fit", "nowhere"), "There is no such folder, nowhere: give the folder with case.toml"),

@@ -139,7 +139,7 @@ def test_names_that_come_twice_are_listed(tmp_path, capsys):
         capture = read_capture(put(tmp_path, content))
         assert capture.doubled == ("front", "front") and [*capture.markers] == ["front", "back"]
         assert "front (3 times)" in summary_text(capture, {}) and summary(capture)["doubled"] == ["front"]
-        with pytest.raises(InputError, match='The marker "front" is doubled'):
+        with pytest.raises(InputError, match='The marker "front" appears twice'):
             read_track(
                 tmp_path / "recording", "", FileAnnotations(markers={"front": (0.2, 0, 0), "back": (-0.2, 0, 0)})
             )
@@ -421,7 +421,7 @@ COMPLAINTS = {
     "qualisys names": (qualisys_markers(POINTS, NAMES).replace("MARKER_NAMES", "MARKER_NAMEZ"), 8, "names neither"),
     "qualisys rate": (qualisys_markers(POINTS, NAMES).replace("\t100\r", "\t-5\r"), 4, "FREQUENCY is not above 0"),
     "qualisys columns": (qualisys_bodies({"a": motion()}).replace("BODY_NAMES\ta", "BODY_NAMES\ta\tb"), 6, "columns"),
-    "plain without names that tell": (table(plain()).replace(",x,y,", ",east,north,"), 1, "do not tell x and y"),
+    "plain without names that tell": (table(plain()).replace(",x,y,", ",east,north,"), 1, "do not show x and y"),
     "binary": (b"\x01\x02\x03 nothing known".decode(), 1, "No known format"),
 }
 
@@ -462,7 +462,7 @@ def test_outputs_of_a_model_are_no_markers(tmp_path, grouped):
     content = c3d(points, [*NAMES, "LKnee", "RKnee"], outputs={grouped: ["LKnee", "RKnee"]})
     capture = read_capture(put(tmp_path, content))
     assert [*capture.markers] == NAMES
-    assert capture.notes == ["2 outputs of a model are no markers and passed over: LKnee, RKnee"]
+    assert capture.notes == ["2 outputs of a model are not markers and are ignored: LKnee, RKnee"]
     np.testing.assert_allclose(np.stack([*capture.markers.values()], axis=1), gappy(), atol=1e-6)
 
 
@@ -483,7 +483,7 @@ def damaged_c3d(kind):
 
 C3D_COMPLAINTS = {
     "of an SGI": "ezc3d cannot read it (MIPS processor type not supported yet)",
-    "of a DEC, by its key alone": "A frame rate of 2.4e-41 Hz is none",
+    "of a DEC, by its key alone": "The frame rate of 2.4e-41 Hz is impossible",
     "a parameter of another type": "ezc3d c",
     "more frames than there are": "701 frames",
 }

@@ -43,6 +43,13 @@ POSES = {
         range(60),
         *(x, y, z, qx, qy, qz, qw),
     ),
+    "ROS 2": rows(
+        "header.stamp.sec,header.stamp.nanosec,pose.position.x,pose.position.y,pose.orientation.x,"
+        "pose.orientation.y,pose.orientation.z,pose.orientation.w",
+        [str(1721384116 + int(s + 0.7)) for s in t],
+        [str(round(1e9 * ((s + 0.7) % 1))) for s in t],
+        *(x, y, qx, qy, qz, qw),
+    ),
     "milliseconds since 1970": rows("timestamp,x,y,yaw", 1.7e12 + 1e3 * t, x, y, M.heading),
     "speeds beside": rows("time,vx,vy,v_x,vel_x,x,y,yaw_rate,yaw", t, *[9 + t] * 4, x, y, 9 + t, M.heading),
     "units in a row": rows(
@@ -64,12 +71,61 @@ def test_names_say_what_columns_hold(tmp_path, name):
     stated = name in ("words", "units in a row")
     assert len(said) == (not stated)
     if name.startswith("degrees"):
-        assert "deg for angles" in said[0]
+        assert "the angles (read in deg)" in said[0]
     elif not stated:
-        assert "m for lengths" in said[0] and "deg" not in said[0]
+        assert "the lengths (read in m)" in said[0] and "deg" not in said[0]
     if name == "speeds beside":
         unused = "columns that are not used: vx, vy, v_x, vel_x, yaw_rate"
         assert unused in read_capture(path).notes
+
+
+def test_seconds_and_nanoseconds_are_one_clock(tmp_path):
+    """ROS 2 writes a time as two columns; the first alone shows the same second in up to 100 rows."""
+    clock = 1721384116.7 + t
+    split = [str(int(s)) for s in clock], [str(round(1e9 * (s % 1))) for s in clock]
+    for names in ("sec,nanosec", "secs,nsecs", "field.header.stamp.secs,field.header.stamp.nsecs"):
+        capture = read_capture(put(tmp_path, rows(f"{names},x_m,y_m,yaw_rad", *split, x, y, M.heading)))
+        np.testing.assert_allclose(capture.times, clock, atol=1e-6)
+    # Two whole clocks are no sum.
+    text = rows("time_s,time_ns,x_m,y_m,yaw_rad", 0.5 + t, [str(round(1e9 * s)) for s in t], x, y, M.heading)
+    capture = read_capture(put(tmp_path, text))
+    np.testing.assert_allclose(capture.times, 0.5 + t, atol=1e-12)
+    assert "columns that are not used: time_ns" in capture.notes
+
+
+def test_a_clock_without_its_fraction_is_refused(tmp_path):
+    path = put(tmp_path, rows("sec,x_m,y_m,yaw_rad", [str(int(10 * s)) for s in t], x, y, M.heading))
+    with pytest.raises(InputError, match=r"55 of 60 rows show the time of another row.*the clock is too coarse"):
+        read_capture(path)
+    # The same frame written twice is a defect of the recording, not of the table.
+    twice = rows("time_s,x_m,y_m,yaw_rad", *(np.repeat(column, 2) for column in (t, x, y, M.heading)))
+    assert len(read_capture(put(tmp_path, twice)).times) == 2 * len(t)
+
+
+def test_rows_of_several_objects_are_not_one(tmp_path):
+    data = [
+        [float(s), who, float(a + far), float(b), float(c)]
+        for s, a, b, c in zip(t, x, y, M.heading, strict=True)
+        for who, far in (("car", 0.0), ("cone", 2.0))
+    ]
+    path = put(tmp_path, table([["time_s", "id", "x_m", "y_m", "yaw_rad"], *data]))
+    with pytest.raises(InputError, match=r'61 of 120 rows show the time of another row.*columns = \{object = "name'):
+        read_capture(path)
+    car = read_track(path, "car", FileAnnotations({"object": "id"}))
+    np.testing.assert_allclose(car.pose, POSE, atol=1e-12)
+
+
+def test_a_time_of_day_without_a_date(tmp_path):
+    clock = [f"23:59:{59.7 + s:09.6f}" if s < 0.295 else f"0:00:{s - 0.3:09.6f}" for s in t]
+    track = read_track(put(tmp_path, rows("time,x_m,y_m,yaw_rad", clock, x, y, M.heading)), "")
+    np.testing.assert_allclose(np.diff(track.times), np.diff(t), atol=1e-6)
+    with pytest.raises(InputError, match=r'"23:61:59\.700000" is no date and time.*line 2'):
+        read_capture(put(tmp_path, rows("time,x_m,y_m,yaw_rad", ["23:61:59.700000", *clock[1:]], x, y, M.heading)))
+
+
+def test_excel_states_its_separator(tmp_path):
+    text = "sep=;\r\n" + rows("time_s,x_m,y_m,yaw_rad", t, x, y, M.heading).replace(",", ";")
+    np.testing.assert_allclose(read_track(put(tmp_path, text), "").pose, POSE, atol=1e-12)
 
 
 def test_an_hour_passes(tmp_path):
@@ -108,7 +164,7 @@ def test_columns_without_names_have_numbers(tmp_path):
     path = put(tmp_path, text)
     capture = read_capture(path)
     assert [*capture.markers] == [""] and "columns that are not used: rotation, 6, 7, 8" in capture.notes
-    assert any("a place alone" in note for note in capture.notes)
+    assert any("a position without heading" in note for note in capture.notes)
     columns = {"qx": "rotation", "qy": "6", "qz": "7", "qw": "8"}
     np.testing.assert_allclose(read_track(path, "", FileAnnotations(columns)).pose, POSE, atol=1e-9)
     whole = {"time": "1", "x": "2", "y": "3", **columns}
@@ -120,9 +176,9 @@ def test_columns_without_names_have_numbers(tmp_path):
 def test_rows_may_be_the_clock(tmp_path, capsys):
     text = rows("x,y,yaw", x, y, M.heading)
     path = put(tmp_path, text)
-    with pytest.raises(InputError, match=r'do not tell the time: x, y, yaw.*time = "row" with units'):
+    with pytest.raises(InputError, match=r'do not show the time: x, y, yaw.*time = "row" with units'):
         read_capture(path)
-    with pytest.raises(InputError, match="what lies between them is not said"):
+    with pytest.raises(InputError, match="the time between two rows is not given"):
         read_capture(path, FileAnnotations({"time": "row"}))
     track = read_track(path, "", FileAnnotations({"time": "row"}, {"time": "0.01 s"}))
     np.testing.assert_allclose(track.pose, POSE, atol=1e-12)
@@ -141,8 +197,8 @@ def markers(name, axes=("x", "y", "z"), scale=1.0, first="time", more=""):
     return table([header, *([more.split("|")] if more else []), *data])
 
 
-def two_rows(first, fill, units=(), index=()):
-    above = ["", *(c for m in NAMES for c in (m, *([m] * 2 if fill else ["", ""])))]
+def two_rows(first, fill, units=(), index=(), suffix=""):
+    above = ["", *(c for m in NAMES for c in (m + suffix, *([m] * 2 if fill else ["", ""])))]
     below = ["", *("x", "y", "z") * 4] if first == "above" else ["Time", *("X", "Y", "Z") * 4]
     above[0] = "time" if first == "above" else ""
     data = [[float(s), *map(float, p.ravel())] for s, p in zip(t, POINTS, strict=True)]
@@ -164,6 +220,7 @@ MARKERS = {
     "a row of names, a row of axes": two_rows("below", fill=False),
     "names repeated": two_rows("above", fill=True),
     "and a row of units": two_rows("below", fill=False, units=["s", *["m"] * 12]),
+    "units beside the names": two_rows("below", fill=False, suffix=" (m)"),
     "as pandas writes them": two_rows("x", fill=True, index=["time", *[""] * 12]).replace("\r\nTime,", "\r\n,"),
 }
 
@@ -203,12 +260,12 @@ def test_a_marker_may_be_called_by_a_letter(tmp_path):
 
 def test_speeds_and_forces_are_no_markers(tmp_path):
     text = rows("time,vel_x,vel_y,vel_z,acc_x,acc_y,acc_z,gyro_x,gyro_y,gyro_z,F_x,F_y,F_z", t, *[x] * 12)
-    with pytest.raises(InputError, match="do not tell x and y"):
+    with pytest.raises(InputError, match="do not show x and y"):
         read_capture(put(tmp_path, text))
 
 
 def test_a_quaternion_called_x_y_z_w_is_no_place(tmp_path):
-    with pytest.raises(InputError, match="do not tell x and y"):
+    with pytest.raises(InputError, match="do not show x and y"):
         read_capture(put(tmp_path, rows("time,w,x,y,z", t, qw, qx, qy, qz)))
 
 

@@ -160,9 +160,9 @@ def test_a_track_from_markers(tmp_path):
 @pytest.mark.parametrize(
     ("markers", "what"),
     [
-        (None, "where they sit on the board it cannot say"),
+        (None, "but not their places on the board"),
         ({"frnt": (0, 0, 0), "back": (1, 0, 0)}, 'There is no marker "frnt"'),
-        ({"front": (0, 0, 0)}, "Two markers apart"),
+        ({"front": (0, 0, 0)}, "At least two markers"),
         ({name: 1000 * np.array(place) for name, place in PLACES.items()}, "mm off where the template has them"),
     ],
 )

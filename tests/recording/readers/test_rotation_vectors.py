@@ -93,28 +93,28 @@ def test_where_the_data_do_not_tell_it_is_a_rotation_vector(tmp_path):
     rng = np.random.default_rng(0)
     straight = put(tmp_path, [[0.05, 0.02, 0.5]] + 1e-4 * rng.normal(size=(100, 3)))
     reading = read_capture(straight).angles["board:board"]
-    assert reading.angles == "helical" and "the motion does not tell" in reading.description
+    assert reading.angles == "helical" and "the motion does not show it" in reading.description
     tumbling = Rotation.from_rotvec(np.cumsum(rng.normal(size=(400, 3)), axis=0) * 0.2)
     path = put(tmp_path, long_vectors(tumbling), "tumbling.csv")
     reading = read_capture(path).angles["board:board"]
     assert reading.angles == "helical" and "degrees long" in reading.description
     unseen = put(tmp_path, np.full((20, 3), np.nan), "unseen.csv")
     unseen.write_text(unseen.read_text().replace("nan", ""))
-    assert "never seen" in read_capture(unseen).angles["board:board"].description
+    assert "never tracked" in read_capture(unseen).angles["board:board"].description
 
 
 def test_a_user_overrules(tmp_path, capsys):
     turn = heading()
     path = put(tmp_path, WRITTEN["helical"](board(turn)))
     assert main(["import", str(path), "--json", str(tmp_path / "a.json")]) == 0
-    assert "a rotation vector (helical): so the body's normal swings by" in capsys.readouterr().out
+    assert "a rotation vector (helical): the normal of the body then swings by" in capsys.readouterr().out
     assert json.loads((tmp_path / "a.json").read_text())[str(path)]["angles"] == {"board:board": "helical"}
     told = read_capture(path, FileAnnotations(angles="xyz")).bodies["board:board"].rotation
     expected = Rotation.from_euler("xyz", WRITTEN["helical"](board(turn)))
     assert (Rotation.from_quat(told) * expected.inv()).magnitude().max() < 1e-8
     assert main(["import", str(path), "--out", str(tmp_path / "case"), *GIVEN, "--angles", "xyz"]) == 0
     assert 'angles = "xyz"' in (tmp_path / "case" / "case.toml").read_text()
-    assert "Euler angles about the fixed axes x, y, z, as you say" in load_case(tmp_path / "case").reading["take"][0]
+    assert "Euler angles about the fixed axes x, y, z, as given" in load_case(tmp_path / "case").reading["take"][0]
     assert main(["import", str(path), "--angles", "euler"]) == 2
     assert "`euler` is not a kind of angles" in capsys.readouterr().err
     case = tmp_path / "case" / "case.toml"
@@ -127,7 +127,7 @@ def test_check_says_it_of_a_run(tmp_path, capsys):
     path = put(tmp_path, WRITTEN["helical"](board(heading())))
     assert main(["import", str(path), "--out", str(tmp_path / "case"), *GIVEN, "--quiet"]) == 0
     assert main(["check", str(tmp_path / "case"), "--json", str(tmp_path / "check.json")]) == 0
-    assert "RX, RY, RZ are a rotation vector (helical): so" in " ".join(capsys.readouterr().out.split())
+    assert "RX, RY, RZ are a rotation vector (helical): the normal" in " ".join(capsys.readouterr().out.split())
     said = json.loads((tmp_path / "check.json").read_text())["reading"]["take"]
     assert len(said) == 1 and said[0].startswith("RX, RY, RZ are a rotation vector")
 

@@ -9,6 +9,7 @@ from snakejax.core.errors import at_line
 from ..user_code import place_in_user_code, user_files
 
 DONE, FAILED, WRONG, INTERRUPTED = 0, 1, 2, 130
+"""Exit statuses: of the contract in docs/commands.md, and 128 + SIGINT for an interrupt."""
 
 
 def complain(error: object, status: int) -> int:

@@ -29,8 +29,8 @@ def add(commands: Any) -> None:
         run,
         "find out which physical effect is missing",
         "Fit, examine the residual, add the effect that explains it, and fit again, until\n"
-        "only noise is left or no known effect helps. With --out an interrupted command goes\n"
-        "on where it was when it is run again; without --out nothing is kept.",
+        "only noise is left or no known effect helps. With --out, finished fits are kept: run\n"
+        "an interrupted command again, and it continues with them.",
         "snakejax explain data/tilted-floor --json -",
     )
     add_cases(command)

@@ -4,7 +4,7 @@ import argparse
 import os
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NoReturn
 
 from snakejax.core.errors import InputError, instead_of
@@ -24,6 +24,15 @@ examples:
 """
 
 
+RENAMED = {"separate": "design"}
+"""Commands under the name that they, or their objective, once had."""
+
+
+def _no_command(name: str, known: Iterable[str]) -> InputError:
+    remedy = f'write "{RENAMED[name]}"' if name in RENAMED else instead_of(name, known)
+    return InputError(f"There is no command `{name}`", "argument COMMAND", remedy)
+
+
 class _Parser(argparse.ArgumentParser):
     """A parser that reports errors as `InputError`."""
 
@@ -35,12 +44,10 @@ class _Parser(argparse.ArgumentParser):
         if action.choices is None or value in action.choices:
             return
         if isinstance(action, argparse._SubParsersAction):
-            what, where = f"There is no command `{value}`", "argument COMMAND"
-        else:
-            name = "/".join(action.option_strings) or str(action.metavar or action.dest).upper()
-            what = f"`{value}` is not a value of {name}"
-            where = f"{'option' if action.option_strings else 'argument'} {name}"
-        raise InputError(what, where, instead_of(str(value), map(str, action.choices)))
+            raise _no_command(str(value), action.choices)
+        name = "/".join(action.option_strings) or str(action.metavar or action.dest).upper()
+        where = f"{'option' if action.option_strings else 'argument'} {name}"
+        raise InputError(f"`{value}` is not a value of {name}", where, instead_of(str(value), map(str, action.choices)))
 
     def parse_known_args(self, args=None, namespace=None):  # type: ignore[override]
         """As argparse does. **Raises:** `InputError` for an unknown option, with the one that was meant."""
@@ -56,8 +63,8 @@ def parser() -> argparse.ArgumentParser:
     """The parser of all commands."""
     top = _Parser(
         prog="snakejax",
-        description="Simulate a skidding snakeboard, fit its tyre parameters to recordings,\n"
-        "and find where model and recordings disagree.",
+        description="Simulate wheeled vehicles that skid, such as the snakeboard, fit their tyre\n"
+        "parameters to recordings, and find where model and recordings disagree.",
         epilog=_EXAMPLES,
         formatter_class=Formatter,
         allow_abbrev=False,
@@ -87,7 +94,7 @@ def _add_help(commands: Any, top: argparse.ArgumentParser) -> None:
     def run(options: argparse.Namespace) -> int:
         name = options.about
         if name is not None and name not in others:
-            raise InputError(f"There is no command `{name}`", "argument COMMAND", instead_of(name, others))
+            raise _no_command(name, others)
         (top if name is None else others[name]).print_help()
         return DONE
 

@@ -24,6 +24,7 @@ class Stop(NamedTuple):
     usual: bool = True
 
 
+# The seconds only set the length of a bar.
 _FIT = (
     Stop(Phase.FIRST_SECONDS, 3.0),
     Stop(Phase.LONGER_HORIZON, 0.5),
@@ -34,6 +35,7 @@ _FIT = (
     Stop(Phase.LOG_NOISE, 40.0, False),
     Stop(Phase.LOG_CLOCK_ERRORS, 10.0, False),
 )
+# As above.
 _DIAGNOSE = (
     Stop(Phase.WINDOWS, 5.0),
     Stop(Phase.WHOLE_RUNS, 3.0),
@@ -47,6 +49,7 @@ _DIAGNOSE = (
     Stop(Phase.REFITTING_CANDIDATES, 5.0),
     Stop(Phase.REFITTING_OTHER_STRUCTURE, 6.0, False),
 )
+# As above.
 _DRAWING = Stop(Phase.DRAWING, 5.0)
 ROUTES: dict[str, tuple[Stop, ...]] = {
     "fit": (*_FIT, Stop(Phase.PROFILE, 10.0, False), _DRAWING),

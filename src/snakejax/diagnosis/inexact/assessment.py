@@ -96,9 +96,11 @@ def assess(
     laws: Mapping[str, tuple[str, ...]],
     undecided: tuple[str, ...] = (),
 ) -> Assessment:
-    """What is reported about the point of `linear`, judged by the `heldout` runs; `base`: effects always in the model;
-    `laws`: those of its effects that are laws, with other laws that do as well; `undecided`: laws that are
-    not among its effects, because these runs cannot choose."""
+    """The report on the point of `linear`, validated on the `heldout` runs.
+
+    `base`: effects always in the model. `laws`: the laws among its effects, with other laws that fit equally well.
+    `undecided`: laws that were not added, because these runs cannot distinguish them.
+    """
     criteria, scales = search.criteria, search.scales
     evidence = world(search, linear)
     # Intervals count a force that the runs do not show, as far as it was estimated; predictions do without it. A law

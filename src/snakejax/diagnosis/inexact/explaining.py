@@ -165,11 +165,11 @@ def _row(assessment: Assessment, number: int, here: tuple[str, ...], effect: str
     elif effect in assessment.effects:
         why = "taken in a later step"
     elif twins:
-        why = f"these runs cannot tell it from {', '.join(twins)}"
+        why = f"these runs cannot distinguish it from {', '.join(twins)}"
     elif fall >= threshold and len(here) < len(assessment.effects):
-        why = "the effects that were taken explain what it explains"
+        why = "the effects that were taken explain the same error"
     elif fall >= threshold:
-        why = f"refused: runs left out are not predicted better, although chi^2 falls by {fall:.4g}"
+        why = f"refused: it does not improve the prediction of omitted runs, although chi^2 falls by {fall:.4g}"
     else:
         why = f"refused: chi^2 falls by {fall:.3g}, by chance at most {threshold:.3g}"
     p = min(1.0, subsets.p_value(effect, fall) * len(assessment.search.model.candidates))

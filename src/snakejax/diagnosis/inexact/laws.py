@@ -100,7 +100,7 @@ def choose_law(
     ordered = distinct(proposals)
     fitted: list[tuple[Proposal, FittedLaw]] = []
     for one in near(ordered, search.criteria.distinct_chi2):
-        search.progress(ProgressEvent(Phase.LAW_FIT, f"fitting {one.law.expression} beside a random force"))
+        search.progress(ProgressEvent(Phase.LAW_FIT, f"fitting {one.law.expression} together with a random force"))
         with_one = _fitted(case, noise, candidate_set, search, base, one)
         if with_one is not None:
             fitted.append((one, with_one))

@@ -27,6 +27,7 @@ from .search import Linear, Search
 LONGEST = 64
 """Segments of a window, at most: each has five columns in the filter, whose work grows with the square of them."""
 GRIP = 2
+"""Factors on the grip of a segment: of the wheels before and behind the middle."""
 
 
 class SegmentGrip(LateralForce):

@@ -214,6 +214,7 @@ class _Scored(NamedTuple):
 
 
 RIDGES = (1e-6, 1e-4, 1e-2, 1e-1)
+"""Ridge penalties that cross validation chooses from, relative to the scale of the coefficients."""
 
 
 class _CrossValidation:

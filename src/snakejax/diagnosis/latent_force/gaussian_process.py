@@ -56,6 +56,7 @@ class Prior(NamedTuple):
 
 
 FIRST = Prior(np.array([0.3, 0.3, 0.05]), 0.5)
+"""Start of the search for the prior: standard deviations of X, Y [N] and N [N m], and a time constant [s]."""
 
 
 class Posterior(NamedTuple):

@@ -1,5 +1,5 @@
-"""The missing force: what must be added to a model that no known effect repairs, what it depends on, and which known
-effects survive beside it.
+"""The missing force of a model that no known effect explains: its estimate, the variables on which it depends, and the
+known effects that stay significant together with it.
 """
 
 import dataclasses
@@ -38,14 +38,14 @@ class RunForce(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class LatentForce(Tabular):
-    """The missing force, run by run, and the variables it depends on with the share each explains, best first.
+    """The missing force of each run, and the variables on which it depends with their shares, best first.
 
-    A share is that part of the misfit above noise which a dependence on this variable alone predicts on runs left out.
-    `misfit` is the mean square of the windows' residuals without and with the free force; `shape` is None where no
-    variable predicts anything. `beside`: the known effects that survive beside the force, `lateral_skid` among them
-    where the structure does. `estimates` are the parameters of the model beside which it acts, by name; `switched`,
-    whether its wheelsets skid freely although the board was said to be coupled. `windows`: what regressions on it need;
-    `laws`: the formulas that predict it on runs left out, the best first.
+    A share is the part of the misfit above noise that this variable alone predicts on omitted runs. `misfit`: mean
+    square of the residuals of the windows without and with the free force. `shape`: None if no variable predicts the
+    force. `beside`: the known effects that stay significant together with the force, including `lateral_skid` if the
+    structure does. `estimates`: parameters of the model to which the force is added, by name. `switched`: whether its
+    wheelsets slip separately although the case states the structure coupled. `windows`: the data for regressions on the
+    force. `laws`: the formulas that predict it on omitted runs, best first.
     """
 
     runs: tuple[RunForce, ...]
@@ -167,7 +167,7 @@ def _with_coexisting_effects(
     """The latent force beside those of the `added` effects that stay significant there, one after the other."""
     criteria, now, rest = candidate_set.criteria, alone, list(added)
     while rest and now.left > 1 + criteria.force_explained_excess:
-        text = f"does {' or '.join(rest)} stay significant beside the missing force?"
+        text = f"does {' or '.join(rest)} stay significant together with the missing force?"
         progress(ProgressEvent(Phase.COEXISTING_EFFECTS, text))
         known = (*step.effects, *(name for name in now.beside if name != LATERAL_SLIP_SWITCH))
         steps = [CandidateFit((*known, name), step.solution) for name in rest]

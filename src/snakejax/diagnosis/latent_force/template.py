@@ -1,4 +1,4 @@
-"""A file to start from: an effect of the user's own that acts as the missing force was found to."""
+"""A template of an effect: a Python file with the estimated missing force, for the user to edit."""
 
 from collections.abc import Mapping, Sequence
 
@@ -39,7 +39,7 @@ _ACTS = {
 
 
 def effect_template(missing: LatentForce) -> str:
-    """A Python file with an effect of the user's own that acts as the missing force was found to.
+    """The text of a Python file with an effect that acts like the estimated missing force, for the user to edit.
 
     Its parameters are zero, and it then changes nothing; the values found stand in its docstring.
 

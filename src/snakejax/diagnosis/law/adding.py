@@ -132,7 +132,7 @@ def predicting_steps(steps: Sequence[WorkingStep], progress: Progress) -> list[W
     than a step before it does."""
     if len(steps) < 2:
         return list(steps)
-    progress(ProgressEvent(Phase.PREDICTION, "does each step predict runs that were left out?"))
+    progress(ProgressEvent(Phase.PREDICTION, "does each step predict omitted runs?"))
     expected = [expected_misfits(step.candidate_set, step.step).mean() for step in steps]
     return list(steps[: int(np.argmin(expected)) + 1])
 
@@ -146,10 +146,11 @@ def rivals_of(laws: Sequence[ProposedLaw]) -> list[ProposedLaw]:
 def best_laws(
     case: Case, noise: Noise, like: WorkingStep, last: WorkingStep, missing: LatentForce, progress: Progress
 ) -> list[AddedLaws]:
-    """The best of the first few laws of `missing` on whole train runs, added to `like` beside the effects that survive
-    beside the force; then the same with a second law where that predicts train runs left out better yet.
+    """The best of the first few laws of `missing` on whole train runs, added to `like` with the effects that stay
+    significant together with the force; then also with a second law, if it improves the prediction of omitted train
+    runs.
 
-    None where no law predicts them better than `like` and `last` do.
+    Empty if no law predicts them better than `like` and `last`.
     """
     beside = tuple(name for name in missing.beside if name != LATERAL_SLIP_SWITCH)
     effects = tuple(dict.fromkeys((*like.step.effects, *beside)))
@@ -171,7 +172,7 @@ def best_laws(
                 laws, candidate_set, fit, run_misfits(candidate_set.problem, fit.solution, candidate_set.train)
             )
         # Far from the noise a linear model says nothing about runs left out.
-        progress(ProgressEvent(Phase.PREDICTION, f"does {texts} predict runs that were left out?"))
+        progress(ProgressEvent(Phase.PREDICTION, f"does {texts} predict omitted runs?"))
         return AddedLaws(laws, candidate_set, fit, left_out_misfits(candidate_set, fit))
 
     best = None

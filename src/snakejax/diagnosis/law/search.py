@@ -1,5 +1,5 @@
-"""A sparse search for the law of a free force: every form of the grammar is fitted in the windows, and judged there on
-the runs that it was not fitted to.
+"""A sparse search for the law of a free force: every form of the grammar is fitted on the windows of some runs and
+tested on those of the other runs.
 """
 
 import itertools

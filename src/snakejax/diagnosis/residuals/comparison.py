@@ -71,7 +71,7 @@ class ModelScore(NamedTuple):
 
 
 def compare(fitted: Fit, *, length: float = 1.0, count: int = 8) -> Comparison:
-    """Where `fitted` fails: over stretches of `length` [s], and the `count` worst moments."""
+    """Where `fitted` fails: the misfit of each interval of `length` [s], and the `count` largest residuals."""
     tracks = [scene.track for scene in replay_fit(fitted)]
     return Comparison(
         tuple(stretch for track in tracks for stretch in interval_misfits(track, length)),

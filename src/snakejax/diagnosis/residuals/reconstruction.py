@@ -39,6 +39,7 @@ BINS = 15
 FEWEST = 8
 """A bin holds at least so many samples."""
 POINTS = 161
+"""Points of the drawn curve of a tyre law."""
 
 
 class ReconstructedForces(NamedTuple):

@@ -12,6 +12,7 @@ from snakejax.dynamics.observation import CHANNELS
 from .replays import ResidualSeries
 
 LAGS = 20
+"""Lags of the portmanteau test, in samples: 0.2 s at 100 Hz."""
 
 
 class Whiteness(NamedTuple):

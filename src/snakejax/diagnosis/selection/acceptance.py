@@ -1,4 +1,4 @@
-"""Whether a step is believed: the tests that an effect must pass to be added, and to stay."""
+"""The acceptance criterion: the tests that an effect must pass to be added, and to stay."""
 
 import numpy as np
 from scipy import stats

@@ -24,6 +24,7 @@ WIDTH = 13
 ROOM = 9
 """At least so many of them are for effects."""
 WORKERS = 2
+"""Threads that fit candidates: each fit uses several cores by itself."""
 
 
 class BaseFit(NamedTuple):

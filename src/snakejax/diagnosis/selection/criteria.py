@@ -1,4 +1,4 @@
-"""The thresholds that decide what a diagnosis tells: one record, in which each number says its statistical meaning."""
+"""The thresholds of a diagnosis in one record; each number states its statistical meaning."""
 
 from typing import NamedTuple
 
@@ -7,116 +7,121 @@ from snakejax.recording.run import Case
 
 
 class SelectionCriteria(NamedTuple):
-    """What counts as significant, as enough, as near, and how wide the search for missing effects is.
+    """The thresholds of the selection of effects, and the width of the search.
 
-    *Misfit* is chi^2 per sample: the mean squared residual over the variance of the noise, 1 where a model leaves only
-    noise. *Excess* is misfit - 1: what a model leaves beyond noise. Change single numbers with
-    `CRITERIA._replace(name=value)` and give the result to `diagnose` or `explain`.
+    *Misfit* is chi^2 per sample: the mean squared residual divided by the variance of the noise; it is 1 if only noise
+    remains. *Excess* is misfit - 1, the part above the noise. Change single numbers with
+    `CRITERIA._replace(name=value)` and give the result to `diagnose` or `explain`. `benchmarks/criteria.txt` shows how
+    the verdicts change if a criterion is halved or doubled.
     """
 
     # Tests
     significance_level: float = 0.01
-    """A candidate is significant where its p-value, corrected for the number of candidates, is below this."""
+    """A candidate is significant if its p-value, corrected for the number of candidates, is below this."""
     nominal_candidates: float = 25.0
-    """By this number of candidates (the size of the library) the level is divided (Bonferroni) where the fall of chi^2
-    of an addition or a removal is tested, so that the result does not depend on which candidates were asked for."""
+    """The level is divided by this number (Bonferroni) in the tests of an addition and of a removal. It is the size of
+    the library, so the result does not depend on which candidates the user asks for."""
     wald_per_parameter: float = 1e3
-    """A Wald statistic (value^T covariance^-1 value) per parameter above this is more than 30 standard errors from
-    neutral: no refit without the effect is needed to know that it belongs to the model."""
+    """If the Wald statistic (value^T covariance^-1 value) per parameter is above this, the value is more than 30
+    standard errors from neutral. The effect then belongs to the model without a refit."""
     smallest_change: float = 1e-3
-    """A parameter that changes the residuals by less than this, in standard deviations of the noise and over its whole
-    domain, is not observable in these runs."""
+    """A parameter is not observable in these runs if, over its whole domain, it changes the residuals by less than
+    this, in standard deviations of the noise."""
     confusable_cosine: float = 0.99
-    """Two candidates are confusable at any strength where the cosine between the signature of one and the span of the
-    other is above this, the columns of the fitted parameters projected out."""
+    """Two candidates are confusable at any strength if the cosine between the signature of one and the span of the
+    other is above this. The columns of the fitted parameters are projected out first."""
     distinct_chi2: float = 9.0
-    """So much larger a fall of chi^2 tells one candidate from another: a likelihood ratio of exp(9 / 2) = 90."""
+    """Two candidates are distinguished if their falls of chi^2 differ by more than this: a likelihood ratio of exp(9 /
+    2) = 90."""
     least_shared_information: float = 1e-9
-    """Added to the scaled normal equations of the runs left together: the information that they have on a parameter at
-    the least, as a share of what all runs have. It keeps the leave-one-run-out score regular."""
+    """Least information of the remaining runs on a parameter in the leave-one-run-out score, as a share of the
+    information of all runs. It is added to the scaled normal equations, so the score stays regular."""
 
     # How near a fit is to the noise
     linear_misfit: float = 4.0
-    """Below this misfit the residuals of whole runs are small enough for a score test, which is linear, to hold there;
-    it is then sharper than on short windows."""
+    """Below this misfit the residuals of whole runs are small enough for the score test, which is linear. It is then
+    more sensitive than the test on short windows."""
     far_misfit: float = 50.0
-    """Above this misfit a fit of whole runs is so far from the truth that its parameters and its order among others
-    mean nothing, and to polish it would only make them absurd."""
+    """Above this misfit the parameters of a fit of whole runs have no meaning, and an iteration to convergence would
+    only move them further from the truth."""
     close_windows_misfit: float = 2.0
-    """Windows that leave less than this misfit have found values from which whole runs can be fitted at once."""
+    """If the windows leave less than this misfit, whole runs can be fitted at once from the values of the windows."""
     explained_windows_misfit: float = 1.1
-    """Windows that leave no more than this misfit are explained: no further effect is looked for on them. Windows are
-    short, so that they leave less of a missing effect than whole runs do."""
+    """If the windows leave no more than this misfit, no further effect is searched on them. Windows are short, so a
+    missing effect changes them less than whole runs."""
 
-    # What an effect must bring
+    # How much an effect must improve
     least_excess_share: float = 0.05
-    """An effect that lowers the excess by less than this share, and does not reach the noise, is of no practical
-    significance, however large its statistic."""
+    """An effect that lowers the excess by less than this share, and does not reach the noise, has no practical
+    significance, however large its statistic is."""
     further_excess_ratio: float = 0.9
-    """A further effect must lower the excess of the windows to this share of what it was, or the search for sets of
-    effects ends."""
+    """The search for sets of effects ends if a further effect does not lower the excess of the windows to this
+    share."""
     refit_tolerance: float = 0.05
     refit_tolerance_share: float = 1e-5
-    """A refit that holds its base has failed where its chi^2 is larger by more than the first and this share of the
-    base's chi^2: the most by which two fits of one optimum may differ when they stop."""
+    """A refit that contains its base has failed if its chi^2 is larger by more than the first number and this share of
+    the chi^2 of the base: the largest difference between two converged fits of one optimum."""
 
     # How wide the search is
     most_effects: int = 4
-    """Effects that are added one by one to a model, at most: a few runs cannot distinguish more."""
+    """Largest number of effects that are added one by one: a few runs cannot distinguish more."""
     most_effects_at_once: int = 3
-    """Effects that are added together to a model far from the recordings, at most."""
+    """Largest number of effects that are added together to a model far from the recordings."""
     beam_width: int = 3
-    """Sets of effects of each size that are followed: the first alone need not belong to the best pair."""
+    """Sets of effects of each size that the beam search keeps: the best single effect need not belong to the best
+    pair."""
     candidates_refitted: int = 3
-    """Candidates that are refitted on whole runs, at most."""
+    """Largest number of candidates that are refitted on whole runs."""
     candidate_excess_ratio: float = 3.0
-    """A candidate is refitted where its excess on the windows is below this multiple of the best candidate's."""
+    """A candidate is refitted if its excess on the windows is below this multiple of that of the best candidate."""
     subsets_refitted: int = 3
-    """Sets of effects that are refitted on whole runs, at most."""
+    """Largest number of sets of effects that are refitted on whole runs."""
     subset_excess_ratio: float = 2.0
-    """A set of effects is refitted where its excess on the windows is below this multiple of the best set's."""
+    """A set of effects is refitted if its excess on the windows is below this multiple of that of the best set."""
     smallest_excess: float = 0.02
-    """The best excess counts as this much at least in both ratios: below it, windows differ by chance."""
+    """Lower limit of the best excess in both ratios: below it, windows differ by chance."""
     log_clock_rounds: int = 2
-    """How often recordings whose joint logs have free clocks are explained once more with the clocks of the result."""
+    """Number of repetitions for joint logs with free clocks: each explains the recordings again, with the clocks of the
+    previous result."""
 
     # Models that are not exact
     random_force_chi2: float = 9.0
-    """A random force beside the model, wandering noise, and constants other than stated, are believed where -2 log
-    restricted likelihood falls by more than this: a likelihood ratio of exp(9 / 2) = 90."""
+    """A random force, correlated noise and corrected constants are accepted if they lower -2 log restricted likelihood
+    by more than this: a likelihood ratio of exp(9 / 2) = 90."""
     interval_force: float = 0.01
-    """Where a random force is believed, intervals hold for a hundredth of the forces that move the vehicle more: what
-    varies with the place or the motion in place of time looks weaker to the likelihood than it is."""
+    """If a random force was found, the intervals include a further force of this share of the forces that move the
+    vehicle. A force that depends on the place or the motion is larger than its estimate as a random force."""
     cautious_force: float = 0.02
-    """An effect is sure where it would be significant even if a fiftieth of the forces that move the vehicle were
-    something else; less where no random force was found and the recordings exclude so large a one."""
+    """An effect is sure if it would be significant even if this share of the forces that move the vehicle had another
+    cause; a smaller share if no random force was found and the recordings exclude so large a one."""
     shortest_force: float = 0.5
-    """In both cases that force changes over this time [s], or faster for intervals and slower for what is sure."""
+    """Time constant [s] of these two forces: an upper limit for intervals, a lower limit for sure effects."""
     largest_random_force: float = 0.05
-    """A random force above this share of the force that moves the vehicle is no disturbance but a law that the model
-    lacks: the recordings are not explained."""
+    """A random force above this share of the forces that move the vehicle is a law that the model lacks: the recordings
+    are then not explained."""
     least_inside: float = 0.5
-    """Where bands of 95% hold less than this share of the samples of runs left out, what the model lacks is no random
-    force: it acts in the same way for long, so that errors grow faster than those of a random force. Errors within a
-    run depend on each other, so that a single run may well have less than 0.95."""
+    """If the 95% bands hold less than this share of the samples of omitted runs, the model lacks more than a random
+    force: its errors grow over a longer time. The errors within a run are correlated, so a single run may have less
+    than 0.95."""
 
     # The latent force
     coexisting_excess_ratio: float = 0.5
-    """A known effect acts beside the latent force where a force of one cause then leaves less than this share of the
-    excess that it left without the effect."""
+    """A known effect is kept together with the latent force if a force that depends on one variable then leaves less
+    than this share of the excess that it leaves without the effect."""
     structure_excess_ratio: float = 0.15
-    """The same for the change of structure, which is asked for more because it has no value that could be far from
+    """The same for the change of structure. It is stricter, because a structure has no value that could be far from
     neutral."""
     coexisting_sd: float = 20.0
-    """An effect must be so many standard errors from neutral beside the latent force: the errors hold for a force as
-    smooth as its Gaussian process, and an effect that acts like a part of the force comes ten off."""
+    """Together with the latent force, an effect must be so many standard errors from neutral. The standard errors
+    assume a force as smooth as its Gaussian process; an effect that acts like a part of the force was up to ten of them
+    from neutral."""
     force_explained_excess: float = 0.05
-    """Where a force of one cause leaves no more than this excess, no effect beside it is looked for."""
+    """If a force that depends on one variable leaves no more than this excess, no further effect is searched."""
     least_force_share: float = 0.02
-    """A variable that predicts less than this share of the excess on runs left out is not shown as a cause."""
+    """A variable that predicts less than this share of the excess on omitted runs is not shown as a cause."""
     force_excess_sd: float = 4.0
-    """So many standard deviations of the chi^2 of noise are added to the excess of which those shares are taken, so
-    that no variable explains much where there is nothing to explain."""
+    """So many standard deviations of the chi^2 of noise are added to the excess to which the shares refer. Without
+    excess, no variable then explains much."""
 
     @staticmethod
     def of(case: Case) -> "SelectionCriteria":
@@ -134,4 +139,4 @@ class SelectionCriteria(NamedTuple):
 
 
 CRITERIA = SelectionCriteria()
-"""The criteria of every diagnosis that is given no others."""
+"""The default criteria."""

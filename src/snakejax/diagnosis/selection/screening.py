@@ -98,7 +98,7 @@ def _refit_on_windows(
     chosen = [
         c for c in screened if c.score.effect in without_slope or _promises(c.score, base.misfit, base.dof, criteria)
     ]
-    progress(ProgressEvent(Phase.SCREENING_CANDIDATES, f"settling {len(chosen)} candidates on windows"))
+    progress(ProgressEvent(Phase.SCREENING_CANDIDATES, f"fitting {len(chosen)} candidates on windows"))
 
     def settle(candidate: ScreenedCandidate) -> ScreenedCandidate:
         effect, parts = candidate.score.effect, candidate_set.candidates[candidate.score.effect]

@@ -17,14 +17,14 @@ SWITCH_DESCRIPTION = "Each wheelset slips separately."
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class CandidateScore:
-    """One candidate effect beside a model: what it promises, and what its refit leaves where there was one.
+    """One candidate effect, added to the model of a step: its test, and its refit if there was one.
 
-    `p_value` is corrected for the number of candidates; `statistic`: that of its test. `predicted_misfit`: by the
-    linear model, of whole runs or of short windows. `estimate`: the values expected of its parameters, by their short
-    names, and `refit_estimate` those of its refit; `detectable`: the smallest values that these runs would reveal.
-    `confusable_with`: the candidates that these runs cannot tell from it. `failed`: its refit ended further off than
-    the model without it, and says nothing; `converged`: whether its refit has, None where there was none.
-    `of_measurement`: it is an error of the measurement, not of the vehicle.
+    `p_value`: corrected for the number of candidates; `statistic`: that of the test. `predicted_misfit`: misfit by the
+    linear model, of whole runs or of short windows. `estimate`: expected values of its parameters by their short names;
+    `refit_estimate`: those of the refit; `detectable`: the smallest values that these runs would show.
+    `confusable_with`: the candidates that these runs cannot distinguish from it. `failed`: the refit ended with a
+    larger misfit than the model without the effect, so it means nothing. `converged`: whether the refit converged, None
+    without one. `of_measurement`: it is an error of the measurement, not of the vehicle.
     """
 
     effect: str
@@ -44,14 +44,14 @@ class CandidateScore:
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class SelectionStep(Tabular):
-    """The model after one step, and how it fares.
+    """The model after one step of the selection, with its scores and its candidates.
 
-    `change`: "base", or that `name` was "added" or "dropped"; `effects`: those in the model, `lateral_skid` among them
-    where the structure was changed. `fitted`: the model in all runs. `train`, `heldout` (None where no run is held
-    out) and `runs`: its scores; held-out runs are opened once for each step. `estimates` by parameter name.
-    `converged`: whether its fit has, or stands where no value would move by a standard error. `ranking`: the candidates
-    beside it, the best first; `left_out`: those that were not ranked, with the reason: they do not apply, or these runs
-    do not show them. `criteria`: those of every decision on it.
+    `change`: "base", or "added" or "dropped" with the `name` of the effect. `effects`: the effects in the model,
+    including `lateral_skid` if the structure was changed. `fitted`: the model in all runs. `train`, `heldout` (None
+    without held-out runs) and `runs`: its scores; held-out runs are used once for each step. `estimates`: by parameter
+    name. `converged`: whether the fit converged, or no value would change by a standard error. `ranking`: the
+    candidates, best first; `left_out`: those without a rank, with the reason: they do not apply, or these runs do not
+    show them. `criteria`: those of every decision in this step.
     """
 
     change: str

@@ -86,7 +86,7 @@ def _first_accepted(
     for candidate in trial_order(ranking, candidate_set.criteria):
         assert candidate.refit is not None
         then = CandidateFit((*step.effects, candidate.effect), candidate.refit)
-        progress(ProgressEvent(Phase.PREDICTION, f"does {candidate.effect} predict runs that were left out?"))
+        progress(ProgressEvent(Phase.PREDICTION, f"does {candidate.effect} predict omitted runs?"))
         if accept_addition(candidate_set, step, then):
             return then
     return None
@@ -99,7 +99,7 @@ def _removals(
     for name in step.effects:
         if len(step.effects) < 2 or wald_significant(candidate_set, step, name):
             continue
-        progress(ProgressEvent(Phase.ELIMINATION, f"can the model do without {name}?"))
+        progress(ProgressEvent(Phase.ELIMINATION, f"refitting without {name}"))
         rest = tuple(effect for effect in step.effects if effect != name)
         without = CandidateFit(rest, refit_without(candidate_set, step, rest))
         rise = step.solution.samples * (without.solution.misfit - step.solution.misfit)

@@ -1,1 +1,1 @@
-"""Explaining recordings that are many short windows of longer ones, robustly, judged by whole recordings left out."""
+"""Explanation of recordings cut into short windows: robust fits, validated on omitted whole recordings."""

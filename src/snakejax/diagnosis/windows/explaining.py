@@ -298,7 +298,7 @@ def _tried(
 
 
 def _why(one: Candidate, taken: bool, later: bool, criteria: SelectionCriteria) -> str:
-    gained = f"the error of recordings left out falls by {one.gain.share:.2%}"
+    gained = f"the error of omitted recordings falls by {one.gain.share:.2%}"
     if taken:
         return f"taken: {gained}"
     if later:
@@ -306,9 +306,9 @@ def _why(one: Candidate, taken: bool, later: bool, criteria: SelectionCriteria) 
     if one.at_bound:
         return "refused: it ends on a bound of its domain"
     if not one.gain.predicts:
-        return "refused: recordings left out are not predicted better by more than the standard error"
+        return "refused: it improves the prediction of omitted recordings by less than the standard error"
     if one.gain.share < criteria.least_excess_share:
-        return f"refused: too little to matter, {gained}"
+        return f"refused: the improvement is too small, {gained}"
     if not one.p_value < criteria.significance_level:
         return f"refused: the recordings do not agree on its value (p = {one.p_value:.2g})"
-    return f"refused: another one does more, or it does not last when it is fitted; {gained}"
+    return f"refused: another effect does more, or it does less in the full fit; {gained}"

@@ -1,11 +1,8 @@
-"""An explanation and a diagnosis as JSON, and their tables for a terminal."""
+"""An explanation and a diagnosis as JSON, and the candidates as CSV."""
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
-
-from rich.table import Table
-from rich.text import Text
+from collections.abc import Mapping
 
 from snakejax.diagnosis.explanation import Explanation, PoseError, Remainder, TriedCandidate
 from snakejax.diagnosis.latent_force.missing_force import RunForce
@@ -14,9 +11,6 @@ from snakejax.diagnosis.selection.steps import CandidateScore, SelectionStep
 from snakejax.estimation.uncertainty import Estimate
 from snakejax.recording.run import Case, Noise
 
-from ..as_text.columns import ERROR, HEADING, POSITION, narrow, of_heldout
-from ..as_text.errors import error_text, milli_text, times_noise_text
-from ..as_text.tables import NOT_CONVERGED, add_row, not_converged_line, plain_table
 from .provenance import constraint_kind, heading_json, model_kind, vehicle_json
 from .values import (
     EXPRESSION,
@@ -207,37 +201,3 @@ def ranked_json(row: CandidateScore) -> Json:
         "confusable_with": list(row.confusable_with),
         "detectable": row.detectable,
     }
-
-
-def _steps(explanation: Explanation) -> Table:
-    """The root mean square error after each step, and its multiple of the noise."""
-    right = tuple(map(narrow, (POSITION, HEADING, ERROR, of_heldout(ERROR))))
-    table = plain_table("step", *right, "", right=right)
-    for step in explanation.steps:
-        held = step.heldout
-        add_row(
-            table,
-            step.title,
-            milli_text(step.train.position_m),
-            milli_text(step.train.heading_rad),
-            times_noise_text(step.train.misfit),
-            times_noise_text(held.misfit if held else None),
-            "" if step.converged else NOT_CONVERGED,
-        )
-    return table
-
-
-def warnings(steps: Sequence[SelectionStep]) -> tuple[str, ...]:
-    """One sentence that names the fits that did not converge, if any."""
-    names = [step.title for step in steps if not step.converged]
-    return (not_converged_line(*names),) if names else ()
-
-
-def _warned(steps: Sequence[SelectionStep]) -> list[Text]:
-    return [Text(f"! {description}", style="yellow") for description in warnings(steps)]
-
-
-def base_headline(name: str, base: SelectionStep) -> str:
-    """The error of the base model in the case `name`."""
-    held = "" if base.heldout is None else f", on held-out runs {error_text(base.heldout)}"
-    return f"{name}: the root mean square error of the base model is {error_text(base.train)}{held}."

@@ -13,6 +13,7 @@ from snakejax.recording.run import Noise
 from .values import Json
 
 SCHEMA = 1
+"""Version of the keys of the JSON; docs/json.md describes it."""
 LIBRARIES = ("snakejax", "jax", "jaxlib", "diffrax", "optimistix", "equinox", "numpy")
 
 

@@ -33,13 +33,13 @@ def law_sentences(explanation: Explanation) -> Iterator[str]:
         return
     shares = [f"{variable.replace('_', ' ')} {percent(share)}" for variable, share in force.depends_on[:3]]
     if shares:
-        yield f"Of the missing force, each variable alone predicts on runs left out: {', '.join(shares)}."
+        yield f"One variable alone predicts this share of the missing force on omitted runs: {', '.join(shares)}."
     taken = {law.expression for law in explanation.named_laws.values()}
     others = [law for law in force.laws if law.expression not in taken]
     least = min(law.left_out for law in force.laws)
     close = [law for law in others if law.left_out - 1 < ALMOST * max(least - 1, LEAST_EXCESS)]
     if close:
-        yield f"Almost as well over short windows: {listed([law.expression for law in close], 'or')}."
+        yield f"Over short windows these laws fit almost as well: {listed([law.expression for law in close], 'or')}."
     elif others:
         best = min(others, key=lambda law: law.left_out)
         yield (
@@ -60,9 +60,9 @@ def force_left(misfit: float) -> str:
 
 
 CONFIDENCE = {
-    "sure": "Sure: it would be significant even if a fiftieth of the forces were something else.",
-    "likely": "Likely: it is significant, and runs that were left out are predicted better with it.",
-    "stand_in": "It may stand in for something else, such as a constant that is not as stated.",
+    "sure": "Sure: it would be significant even if 2% of the forces had another cause.",
+    "likely": "Likely: it is significant, and omitted runs are predicted better with it.",
+    "stand_in": "Stand-in: it lowers the error, but another cause is possible, such as a wrong constant.",
     "ambiguous": "Ambiguous: {others} would explain the runs nearly as well.",
 }
 """What the words of `confidence` mean."""
@@ -87,30 +87,30 @@ def floor_sentences(explanation: Explanation) -> Iterator[str]:
     noise = pose_error_text(*(float(part) for part in (explanation.noise.position, explanation.noise.heading)))
     what = "windows" if explanation.of_windows else "whole runs"
     yield (
-        f"Of {what}, {floor.source} leave {pose_error_text(floor.position_m, floor.heading_rad)} by themselves;"
-        f" the noise of a sample is {noise}."
+        f"The error of {what} that comes from {floor.source} alone is"
+        f" {pose_error_text(floor.position_m, floor.heading_rad)}; the noise of a sample is {noise}."
     )
     rest = explanation.remainder
     if rest is not None and rest.position_m + rest.heading_rad > 0:
         depends = [f"{variable} ({percent(share)})" for variable, share in rest.depends_on[:3]]
         where = (
-            f"Of its residuals in train runs a share goes with {listed(depends)}."
+            f"A share of its residuals in train runs depends on {listed(depends)}."
             if depends
             else "Its residuals in train runs depend on no variable (5%)."
         )
-        yield f"The model leaves {pose_error_text(rest.position_m, rest.heading_rad)} above that. {where}"
+        yield f"The error of the model is {pose_error_text(rest.position_m, rest.heading_rad)} above that. {where}"
     if rest is not None and rest.laws:
         yield (
-            f"A force may be missing that follows one of these laws: {'; or '.join(rest.laws)}. They do as well in the"
-            " train runs, and none predicts whole runs left out better: none is added. Other motions would tell them"
-            " apart."
+            f"A force with one of these laws may be missing: {'; or '.join(rest.laws)}. They fit the train runs equally"
+            " well, and none predicts omitted whole runs better, so none is added. Runs with other motions can"
+            " distinguish them."
         )
     if explanation.constants:
         parts = [
             f"{name} = {number(e.value, e.sd)} +- {number(e.sd, e.sd)}{unit_text(e)}"
             for name, e in explanation.constants.items()
         ]
-        yield f"The constants of the board were estimated within what is known of them: {', '.join(parts)}."
+        yield f"The constants of the board were estimated within their stated uncertainty: {', '.join(parts)}."
 
 
 def horizon_sentences(explanation: Explanation) -> Iterator[str]:
@@ -134,7 +134,7 @@ def horizon_sentences(explanation: Explanation) -> Iterator[str]:
         words = "Good enough" if enough else "Not good enough"
         yield f"{words} for {wanted} in {needed.horizon:g} s: the error is {error}."
         return
-    yield f"No run is long enough to say whether it is good enough for {wanted} in {needed.horizon:g} s."
+    yield f"No run is long enough to check the required {wanted} after {needed.horizon:g} s."
 
 
 def band_sentences(explanation: Explanation) -> Iterator[str]:

@@ -47,6 +47,10 @@ def missed_text(objective: Mapping[str, float]) -> str:
     return pose_error_text(*(objective[name] for name in POSE_ERRORS))
 
 
+OBJECTIVE_UNITS = {"distance": " m", "turn": " rad"}
+"""The unit of the result of an objective, as text behind the number; a pose error has its own units."""
+
+
 def target_pose(objective: str) -> tuple[float, float, float] | None:
     """x, y [m] and heading [rad] of the target `reach:x,y,heading`; None for another objective."""
     kind, _, numbers = objective.partition(":")

@@ -11,13 +11,24 @@ from snakejax.diagnosis.explanation import Explanation
 from snakejax.diagnosis.selection.steps import SelectionStep
 from snakejax.recording.run import Case
 
-from ..as_json.explanation import _steps, _warned, base_headline, coexisting_effects
+from ..as_json.explanation import coexisting_effects
 from .certainty import band_sentences, floor_sentences, horizon_sentences, odd_run_sentences
-from .columns import DETECTS, EXPECTED, PREDICTED, REFIT, WINDOWS, narrow
-from .errors import times_noise_text
+from .columns import (
+    DETECTS,
+    ERROR,
+    EXPECTED,
+    HEADING,
+    POSITION,
+    PREDICTED,
+    REFIT,
+    WINDOWS,
+    narrow,
+    of_heldout,
+)
+from .errors import error_text, milli_text, times_noise_text
 from .first_lines import first_lines, title, values_text
 from .missing import components_text
-from .tables import NOT_CONVERGED, add_row, error, named, note, number, plain_table, unit_text
+from .tables import NOT_CONVERGED, add_row, error, named, not_converged_line, note, number, plain_table, unit_text
 
 CLOSE = 0.9
 """A variable whose share is at least this part of the best one's may be the cause as well."""
@@ -75,7 +86,7 @@ def _dependence(explanation: Explanation) -> RenderableType:
         size += " It is estimated with separately slipping wheelsets, where it is smaller than with coupled ones."
     known = explanation.final.description_of
     survivors = [
-        Text(f"Still significant beside it: {effect}: {known(effect)} {values_text(estimates)}")
+        Text(f"Still significant together with it: {effect}: {known(effect)} {values_text(estimates)}")
         for effect, estimates in coexisting_effects(explanation).items()
     ]
     if missing.shape is None:
@@ -159,3 +170,37 @@ def candidate_table(step: SelectionStep, most: int = 6, detectable: bool = False
     if any(ranked.converged is False for ranked in step.ranking[:most]):
         legend += f" *: this refit {NOT_CONVERGED}; its error and values are uncertain."
     return Group(table, Text(legend, style="dim"))
+
+
+def _steps(explanation: Explanation) -> Table:
+    """The root mean square error after each step, and its multiple of the noise."""
+    right = tuple(map(narrow, (POSITION, HEADING, ERROR, of_heldout(ERROR))))
+    table = plain_table("step", *right, "", right=right)
+    for step in explanation.steps:
+        held = step.heldout
+        add_row(
+            table,
+            step.title,
+            milli_text(step.train.position_m),
+            milli_text(step.train.heading_rad),
+            times_noise_text(step.train.misfit),
+            times_noise_text(held.misfit if held else None),
+            "" if step.converged else NOT_CONVERGED,
+        )
+    return table
+
+
+def warnings(steps: Sequence[SelectionStep]) -> tuple[str, ...]:
+    """One sentence that names the fits that did not converge, if any."""
+    names = [step.title for step in steps if not step.converged]
+    return (not_converged_line(*names),) if names else ()
+
+
+def _warned(steps: Sequence[SelectionStep]) -> list[Text]:
+    return [Text(f"! {description}", style="yellow") for description in warnings(steps)]
+
+
+def base_headline(name: str, base: SelectionStep) -> str:
+    """The error of the base model in the case `name`."""
+    held = "" if base.heldout is None else f", on held-out runs {error_text(base.heldout)}"
+    return f"{name}: the root mean square error of the base model is {error_text(base.train)}{held}."

@@ -48,7 +48,7 @@ def _causes(explanation: Explanation) -> Iterator[str]:
             yield _missing(explanation.missing)
         known = tuple(effect for effect in explanation.effects if effect not in explanation.named_laws)
         if known:
-            yield f"Still significant beside the missing force: {listed(known)}."
+            yield f"Still significant together with the missing force: {listed(known)}."
     causes = tuple(dict.fromkeys((*explanation.partial, *explanation.named_laws)))
     for effect in causes if explanation.verdict == "unexplained" else explanation.effects:
         helped = "Lowers the error: " if explanation.verdict == "unexplained" else ""
@@ -86,7 +86,7 @@ def _certainty(explanation: Explanation) -> Iterator[str]:
         noise = "what the model leaves is like noise of the vehicle itself"
         yield f"No effect is missing: {noise if explanation.floor is not None else 'only noise is left'}."
     elif explanation.verdict == "unexplained":
-        yield "Not: the values are those of a model that lacks something."
+        yield "Not sure: the model lacks an effect, so the values are biased."
     yield from law_sentences(explanation)
     several = len(explanation.confidence) > 1
     for effect in explanation.confidence:

@@ -21,7 +21,7 @@ def plan_text(plan: Plan) -> RenderableType:
         Text(f"{plan.case}: nothing is fitted."),
         Text(f"An explanation would fit {free} under {first}{then}"),
         Text(f"to {len(plan.train)} train runs ({_some(plan.train)})"),
-        Text(f"and judge the result by {len(plan.heldout)} held-out runs ({_some(plan.heldout) or 'none'})."),
+        Text(f"and validate the result on {len(plan.heldout)} held-out runs ({_some(plan.heldout) or 'none'})."),
         Text(""),
     ]
     table = plain_table("candidate", "parameters")

@@ -144,7 +144,7 @@ def animate(
     run: str | None = None,
     progress: Progress = no_progress,
 ) -> Path:
-    """Write a film of a run to `file`, whose ending says what it is: .gif, or .mp4 where ffmpeg is there.
+    """Write an animation of a run to `file`: .gif, or .mp4 if ffmpeg is installed.
 
     The vehicle as it was measured is grey, as the model has it in colour, with its joints and wheels; a bar at a wheel
     is its slip speed. It plays as fast as it was.
@@ -184,7 +184,10 @@ def animate(
 
 
 def require_film(kind: str, where: str) -> None:
-    """**Raises:** `InputError` where films of this `kind` cannot be made here, said before the work and not after."""
+    """Check, before a long computation, that animations of this `kind` can be made.
+
+    **Raises:** `InputError`.
+    """
     if kind not in KINDS:
         raise InputError(f"A film cannot be written as `{kind}`", where, f"take {' or '.join(KINDS)}")
     if kind == "mp4" and shutil.which("ffmpeg") is None:

@@ -12,6 +12,7 @@ from ..as_text.tables import NOT_CONVERGED
 from ..style import TRAIN
 
 SMALLEST = 1e-300
+"""Smallest p-value that is drawn: its logarithm is finite."""
 
 
 def ranking(base: SelectionStep) -> Figure:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from ..as_text.errors import POSE_ERRORS, missed_text, target_pose
+from ..as_text.errors import OBJECTIVE_UNITS, POSE_ERRORS, missed_text, target_pose
 from ..style import BASE, HELDOUT
 
 BEFORE, AFTER, LIMIT = BASE.colour, HELDOUT, "0.75"
@@ -62,14 +62,16 @@ def designed(result: Mapping[str, Any]) -> Figure:
 
 
 def _path_and_joints(figure: Figure, grid: Any, result: Mapping[str, Any]) -> None:
-    path = figure.add_subplot(grid[:, 0])
+    path, unit = figure.add_subplot(grid[:, 0]), OBJECTIVE_UNITS.get(result["asked"], "")
     joints = [figure.add_subplot(grid[k, 1]) for k in range(2)]
     for side, colour, label in SIDES:
         if (journey := result[side]) is None:
             continue
         line, objective = journey["path"], journey["objective"]
         x, y, heading = (np.asarray(line[name]) for name in ("x", "y", "heading"))
-        path.plot(x, y, color=colour, label=label if objective is None else f"{label}: {_objective_text(objective)}")
+        path.plot(
+            x, y, color=colour, label=label if objective is None else f"{label}: {_objective_text(objective, unit)}"
+        )
         marked = slice(None, None, max(len(x) // 12, 1))
         arrows = {"color": colour, "angles": "xy", "width": 0.005, "scale": 18}
         path.quiver(x[marked], y[marked], np.cos(heading[marked]), np.sin(heading[marked]), **arrows)
@@ -100,10 +102,14 @@ def _numbers(values: Any) -> np.ndarray:
 
 def _label(result: Mapping[str, Any]) -> str:
     achieved = result["objective"]
-    return POSE_ERRORS[next(iter(achieved))] if isinstance(achieved, Mapping) else str(result["asked"])
+    if isinstance(achieved, Mapping):
+        return POSE_ERRORS[next(iter(achieved))]
+    objective = str(result["asked"])
+    unit = OBJECTIVE_UNITS.get(objective, "").strip()
+    return f"{objective} [{unit}]" if unit else objective
 
 
-def _objective_text(objective: Any) -> str:
+def _objective_text(objective: Any, unit: str) -> str:
     if isinstance(objective, Mapping):
         return f"off by {missed_text(objective)}"
-    return f"{objective:.3g}"
+    return f"{objective:.3g}{unit}"

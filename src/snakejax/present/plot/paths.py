@@ -16,6 +16,7 @@ from ..views import ModelView, view_of_fit
 GAP = "0.9"
 HEADING_MARKS = 12
 COLUMNS = 4
+"""Marks of the heading along a path, and panels in a row."""
 
 
 def paths(shown: Fit | Sequence[ModelView]) -> Figure:

@@ -9,10 +9,11 @@ from matplotlib.figure import Figure
 from snakejax.core.files import write_whole
 
 DPI = 150
+"""Resolution of the PNG files [dots per inch]."""
 
 
 def save(figure: Figure, folder: Path | str, name: str) -> list[Path]:
-    """Write `figure` to NAME.png and NAME.svg in `folder`, made where it is not there; the paths written.
+    """Write `figure` to NAME.png and NAME.svg in `folder`, which is created if necessary; return their paths.
 
     **Raises:** `InputError` where they cannot be written.
     """

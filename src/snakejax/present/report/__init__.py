@@ -12,7 +12,6 @@ from snakejax.estimation.fit_record import Fit
 from snakejax.recording.case import Case
 from snakejax.recording.run import Noise
 
-from ..as_json.explanation import base_headline, warnings
 from ..as_json.values import Json
 from ..as_text.certainty import (
     band_sentences,
@@ -22,6 +21,7 @@ from ..as_text.certainty import (
     odd_run_sentences,
 )
 from ..as_text.errors import error_text
+from ..as_text.explanation import base_headline, warnings
 from ..as_text.first_lines import first_lines, title
 from ..as_text.fit import noise_line
 from ..as_text.missing import components_text

@@ -32,11 +32,11 @@ def candidates(result: Json, words: Words, near: Sequence[bool]) -> Section:
         heads = (*columns, "", f"#{EXPECTED}", "#+-", f"#{DETECTS}")
         rows = [row for r, one in enumerate(step["ranking"]) for row in _rows(one, f"{key}ranking.{r}", taken)]
         if rows:
-            tables.append(table(f"Candidates beside {name}, best first", heads, rows))
+            tables.append(table(f"Candidates added to {name}, best first", heads, rows))
     best = [one["effect"] for one in result["ranking"][:1]]
     sentences = plain_sentences(
-        "Each effect is tested beside the model of a step. p is corrected for the number of candidates. The fall of"
-        " chi^2 is that of the linear model of the test. An error of windows is that of short windows, each with a"
+        "Each effect is added to the model of a step and tested. p is corrected for the number of candidates. The fall"
+        " of chi^2 is that of the linear model of the test. An error of windows is that of short windows, each with a"
         " start of its own; it cannot be compared with that of a refit, which is of whole runs. The expected value does"
         " not depend on the other candidates; a refit may give another. Detects: the smallest value that these runs"
         " would show if the model were otherwise right.",
@@ -86,8 +86,8 @@ def _outcome(one: Json, taken: str | None) -> str:
     if one["refit_failed"]:
         return "refit failed"
     if one["refit_misfit"] is None:
-        return "promises less than others"
-    return "leaves more than noise or than another"
+        return "not refitted: others lower the error more"
+    return "refused: more than noise remains, or another leaves less"
 
 
 def _twins(ranked: Sequence[Json]) -> Iterator[str]:

@@ -13,6 +13,7 @@ Trace = dict[str, Any]
 POINTS = 400
 """A line has at most about so many points."""
 DIGITS = 6
+"""Significant digits of the numbers in a chart: more than a screen can show."""
 
 
 class Chart(NamedTuple):

@@ -1,19 +1,25 @@
 """The report of a tuned gait or of a designed run, from its JSON alone."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from ..as_json.values import Json
-from ..as_text.errors import POSE_ERRORS, missed_text, target_pose
+from ..as_text.errors import OBJECTIVE_UNITS, POSE_ERRORS, missed_text, target_pose
 from ..as_text.tables import number
 from ..style import BASE, HELDOUT, MEASURED, TRAIN, LineStyle
 from .chart import EQUAL, Chart, Trace, axes, line, points
 from .page import Cell, Page, Row, Section, cells, plain_sentences, render, table
 
+POSE = ("x", "y", "heading")
 SIDES = {"before": ("best known", BASE), "after": ("tuned", LineStyle(HELDOUT, "solid"))}
 ENOUGH = 0.95
+"""Probability of the right answer for which the repeats of a run are counted."""
+STROKES, STROKE = 12, 0.05
+"""Strokes along a path that show the heading, and their length as a share of the larger side of the picture."""
+UNITS = {"": "rad", "rate": "rad/s", "acceleration": "rad/s^2"}
+"""Units of the limits of a joint, by the word behind the joint."""
 
 
 def tune_page(result: Json) -> str:
@@ -21,7 +27,9 @@ def tune_page(result: Json) -> str:
     headline_text = f"{result['case']}: {_achieved(result)}"
     mass, inertia = (result.get("payload", {}).get(key, 0.0) for key in ("mass_kg", "inertia_kgm2"))
     load = f", carrying {mass:g} kg and {inertia:g} kg m^2" if mass or inertia else ""
-    facts = (f"{result['asked']} in {result['duration_s']:g} s from rest, at {result['start']}{load}.",)
+    x, y, heading = result["start"]
+    start = f"from rest at ({x:g} m, {y:g} m) with heading {heading:g} rad"
+    facts = (f"{result['asked']} in {result['duration_s']:g} s, {start}{load}.",)
     sections = [_gait(result), *([_design(result)] if "separate" in result or "information" in result else [])]
     if result.get("spread"):
         sections.append(_spread(result))
@@ -38,7 +46,7 @@ def _achieved(result: Json) -> str:
         )
     if "information" in result:
         return "the run that determines the tyre parameters best."
-    unit = {"distance": " m", "turn": " rad"}.get(result["asked"], "")
+    unit = OBJECTIVE_UNITS.get(result["asked"], "")
     before = result["before"]
     known = before and before["objective"]
     was = "" if known is None else f", where the best known gait has {_objective_text(known, unit)}"
@@ -61,9 +69,17 @@ def _sides(result: Json) -> Iterator[tuple[str, str, LineStyle, Json]]:
 
 
 def _gait(result: Json) -> Section:
-    traces = [line(path["x"], path["y"], label, look) for _, label, look, path in _sides(result)]
+    sides = [*_sides(result)]
+    traces = [line(path["x"], path["y"], label, look) for _, label, look, path in sides]
+    places = np.concatenate([[path["x"], path["y"]] for *_, path in sides], axis=1)
     if (target := target_pose(result["asked"])) is not None:
-        traces.append(points([target[0]], [target[1]], "target position", MEASURED, symbol="star"))
+        traces.append(points([target[0]], [target[1]], "target pose", MEASURED, symbol="star"))
+        places = np.column_stack([places, target[:2]])
+    length = STROKE * float(np.ptp(places, axis=1).max())
+    for _, _, look, path in sides:
+        traces.append(_strokes([path[name][:: max(len(path["x"]) // STROKES, 1)] for name in POSE], length, look))
+    if target is not None:
+        traces.append(_strokes([[part] for part in target], 2 * length, MEASURED))
     charts = [Chart("path", "The path, x against y.", tuple(traces), axes("x [m]", "y [m]", **EQUAL), 380)]
     for joint, words in (("phi", "steering"), ("psi", "rotor")):
         drawn = [line(path["t"], path[joint], label, look) for _, label, look, path in _sides(result)]
@@ -73,8 +89,25 @@ def _gait(result: Json) -> Section:
             ends = {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "line": {"dash": "dot", "width": 1.5}}
             layout["shapes"] = [{**ends, "y0": sign * most, "y1": sign * most} for sign in (-1, 1)]
         charts.append(Chart(joint, f"The {words} angle over time.", tuple(drawn), layout, 260))
-    text = "The board at rest at the start, under the gait; dotted lines are the limits of the joints."
+    text = "The board starts at rest. Short strokes show its heading; dotted lines are the limits of the joints."
     return Section("gait", "The gait", (text,), tuple(charts))
+
+
+def _strokes(pose: Sequence[Sequence[float]], length: float, look: LineStyle) -> Trace:
+    """Strokes of this `length` [m] from the places x, y [m] of `pose` along its heading [rad]."""
+    x, y, heading = (np.asarray(part, float) for part in pose)
+    ends = [
+        np.stack([start, start + length * along, np.full_like(start, np.nan)], axis=1).ravel()
+        for start, along in ((x, np.cos(heading)), (y, np.sin(heading)))
+    ]
+    return line(
+        ends[0], ends[1], "heading", LineStyle(look.colour, "solid"), width=1.5, showlegend=False, hoverinfo="skip"
+    )
+
+
+def _limit_unit(name: str) -> str:
+    """The unit of a limit, such as `phi_rate`."""
+    return UNITS[name.partition("_")[2]]
 
 
 def _numbers(result: Json) -> Section:
@@ -86,13 +119,18 @@ def _numbers(result: Json) -> Section:
     heads = ("joint", "#amplitude [rad]", "#frequency [rad/s]", "#phase [rad]")
     limits = [
         Row(
-            cells(name, Cell(number(value), f"limits.{name}"), Cell(number(result["reached"][name]), f"reached.{name}"))
+            cells(
+                name,
+                Cell(number(value), f"limits.{name}"),
+                Cell(number(result["reached"][name]), f"reached.{name}"),
+                _limit_unit(name),
+            )
         )
         for name, value in result["limits"].items()
     ]
     tables = (
         table("A sum of sines, as case.toml takes it", heads, rows),
-        table("Limits, and what command and joint reach", ("", "#limit", "#reached"), limits),
+        table("Limits, and what command and joint reach", ("", "#limit", "#reached", "unit"), limits),
     )
     description = "The file ending in gait.toml beside this page holds the gait as two lines for a run in case.toml."
     return Section("numbers", "Numbers", (description,), (), tables)

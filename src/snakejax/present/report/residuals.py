@@ -24,9 +24,9 @@ def residuals(models: Sequence[ModelView]) -> Section:
     ends = [models[0]] if len(models) == 1 else [models[0], models[-1]]
     charts = [_over_time(model, k) for k in range(len(models[0].scenes)) for model in ends]
     sentence = (
-        "Measured minus modelled pose, each model on a scale of its own. Below, the correlation of the residual with"
-        " itself some time later, of all train runs together: 1 where the error persists, between the dotted lines"
-        " where it is white noise."
+        "Measured minus modelled pose. Each model has its own scale. The last chart shows the autocorrelation of the"
+        " residual over all train runs: it is 1 where the error persists, and lies between the dotted lines where the"
+        " residual is white noise."
     )
     heading = "Residuals, before and after" if len(ends) > 1 else "Residuals"
     return Section("residuals", heading, (sentence,), (*charts, _autocorrelation(ends)), wide=False)
@@ -46,18 +46,19 @@ def _over_time(model: ModelView, k: int) -> Chart:
 
 
 def prediction_bands(bands: Sequence[RunBand], look: LineStyle, exact: bool) -> Section:
-    """For each run what was measured less what is predicted from its start, and the 95% band of the prediction.
+    """For each run the measured minus the predicted pose, and the 95% band of the prediction from its start.
 
     `exact`: the bands are those of the noise alone.
     """
     counted = (
-        "is that of the noise"
+        "contains the noise of the cameras"
         if exact
-        else "counts parameters, random force and cameras; train runs are predicted with the parameters of the others"
+        else "contains the uncertainty of the parameters, the random force and the noise of the cameras; each train run"
+        " is predicted with parameters from the other train runs"
     )
     sentence = (
-        "Measured less predicted pose of each run, simulated from its start and corrected nowhere, over the 95% band of"
-        f" the prediction. The band {counted}."
+        "Measured minus predicted pose of each run, with the 95% band of the prediction. The prediction is a simulation"
+        f" from the start of the run, without later corrections. The band {counted}."
     )
     charts = tuple(_band_over_time(one, k, look) for k, one in enumerate(bands))
     return Section("bands", "Predictions and their bands", (sentence,), charts, wide=False)
@@ -70,7 +71,7 @@ def _band_over_time(one: RunBand, k: int, look: LineStyle) -> Chart:
     for c, name in enumerate(CHANNELS):
         traces.append(band(times, -ends[:, c], ends[:, c], "95% band", look, yaxis=axis_name(c)))
         traces.append(line(times, left[:, c], name, MEASURED, width=1.2, yaxis=axis_name(c)))
-    label = f"What was measured in {one.run} less its prediction, over the 95% band of the prediction."
+    label = f"The measured minus the predicted pose of {one.run}, with the 95% band of the prediction."
     caption = f"{one.run}: {100 * one.inside:.1f}% inside the 95% bands of its prediction"
     return Chart(f"band-{k}", label, tuple(traces), stacked("time [s]", CHANNELS), 330, one.run, caption=caption)
 

@@ -19,12 +19,12 @@ CONVENTIONS = ("turned_axis", "mirrored", "rotor_sign")
 POINTS = ("forward", "right", "back", "left")
 """Where the object's x axis points if the board goes along its x, y, -x or -y axis."""
 POOLED, ALONE = 0.8, 0.4
-"""Another axis is believed where the yaw rate left beside it is less than this share of that beside the x axis: in all
-runs together, and in one run against all others."""
+"""Another axis is reported if the yaw rate that it leaves is less than this share of that of the x axis: in all runs
+together, and in one run against all others."""
 HARDLY = 0.5
-"""Speeds and joints that leave more than this share of the yaw rate tell nothing."""
+"""If speeds and joints leave more than this share of the yaw rate, they give no information."""
 LITTLE = 0.01
-"""An axis that explains less than this share of the yaw rate more tells nothing: the linear rule is no better."""
+"""An axis must explain more of the yaw rate than the x axis by this share: the linear rule is not more accurate."""
 CERTAIN = 5.0
 """Standard errors by which a rotor's sign must be clear."""
 
@@ -109,8 +109,8 @@ def _signs(evidence: Sequence[AxisEvidence], axis: int) -> list[Finding]:
 
 def _turned(axis: int) -> Finding:
     points = POINTS[axis]
-    what = f"the board goes as if the x axis of its object pointed {points}"
-    remedy = f'if so, write x_axis = "{points}" for its runs (where one stands already, turn it as far again)'
+    what = f"the board moves as if the x axis of its object pointed {points}"
+    remedy = f'if so, write x_axis = "{points}" for its runs (if x_axis is set already, turn it by the same angle)'
     if points == "back":
         remedy += ", or give phi the opposite sign"
     size = float(np.pi if points == "back" else np.pi / 2)

@@ -43,13 +43,13 @@ class PoseSeries(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """A defect of `kind`.
+    """A defect of a recording; docs/quality.md lists the kinds.
 
-    It lies between `start` and `end` [s] and is `size` `unit` large (None: it has no size). `frames` are the numbers
-    of the frames concerned. `action` is what may safely be done about them: "mask" them as lost, "turn" their heading
-    by a multiple of pi, "omit" the run, or "none". Where none is, a `severity` "refused" means that nothing should be
-    fitted before a user has followed the `remedy`. `applied` says whether the action was taken; `run` is None for all
-    runs together.
+    `kind`: its name there; `start`, `end` [s]: where it lies; `size` in `unit`, None if it has no size; `frames`:
+    numbers of the frames concerned. `action`: the safe remedy: "mask" the frames as lost, "turn" their heading by a
+    multiple of pi, "omit" the run, or "none". With "none", a `severity` "refused" means that no fit should be made
+    before the user has followed the `remedy`. `applied`: whether the action was taken. `run`: None for all runs
+    together.
     """
 
     kind: str

@@ -26,11 +26,10 @@ from .push import pushes, together
 
 TURN = 2 * np.pi
 BELIEVED = 0.25
-"""Other frequencies are believed where what is left of yaw rate and push beside them is, multiplied, less than this
-share of what is left beside the given ones: where each is about halved.
-"""
+"""Other frequencies are reported if the product of the shares of yaw rate and push that they leave is less than this
+part of that of the given ones: if each share is about halved."""
 HARDLY = 0.5
-"""Frequencies that leave more than this share of the yaw rate are not those of the board."""
+"""If frequencies leave more than this share of the yaw rate, they are not those of the board."""
 Pace = tuple[float, float]
 """Factors on the frequencies of phi and of psi."""
 

@@ -106,7 +106,10 @@ def inspect_run(run: Run, corners: Corners | None = None) -> tuple[Run, list[Fin
 
 
 def inspect(case: Case, as_recorded: bool = False) -> Inspection:
-    """What is found in the runs of `case`, and the case as it may be fitted; with `as_recorded`, untouched."""
+    """Inspect the runs of `case`: the findings, and the case with safe remedies applied.
+
+    `as_recorded`: leave the case unchanged.
+    """
     runs: list[Run] = []
     findings: list[Finding] = []
     for run in case.runs:

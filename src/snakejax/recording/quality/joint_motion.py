@@ -22,6 +22,7 @@ STEP = 0.01
 STEEPEST = 1.4
 """Beyond this steering angle [rad] its tangent says nothing any more."""
 FEWEST = 50
+"""Frames below which no motion is analysed: half a second at 100 Hz."""
 
 
 class JointMotion(NamedTuple):

@@ -16,17 +16,20 @@ from ..run import Run
 from .finding import Finding
 from .push import Push, pushes, together
 
+UNITS = {"kg": "kg", "m": "m", "kgm2": "kg m^2"}
+"""Units as messages write them, by the last word of a key of case.toml."""
 LAGS = np.linspace(-0.5, 0.5, 21)
-"""Clocks may be so far apart [s]: measures that go with the motion at one of these lags do so."""
+"""Lags [s] of the joints against the cameras that are tried: measures are right if they fit the motion at one lag."""
 FACTOR, UNIT = 1.5, 30.0
-"""A measure that is off by the first factor is doubted; by the second, it is in another unit."""
+"""A measure that is wrong by the first factor is doubtful; by the second, it is in another unit."""
 CERTAIN, EQUAL = 5.0, 3.0
-"""Standard errors by which another value must be better; and within which two of them are equally good."""
+"""Standard errors by which another value must fit better, and within which two values fit equally well."""
 MOST = 0.8
-"""One measure is to blame where another value of it mends this share of what any quotients can mend."""
+"""A measure is reported if another value of it removes this share of the error that any quotients can remove."""
 HARDLY = 0.75
-"""Where the best measures leave more than this share of the push, it tells nothing."""
+"""If the best measures leave more than this share of the push, the push gives no information."""
 FACTORS = np.exp(np.linspace(-14.0, 14.0, 2801))
+"""Factors on a measure that are tried: from a millionth to a million, in steps of 1%."""
 DENSITY = (1e-3, 1.3e5)
 """Mass over L^3 [kg/m^3]: a thousandth of air, and solid steel of 4 L by 2 L by 2 L."""
 GYRATION = (0.02, 20.0)
@@ -87,7 +90,8 @@ def by_motion(runs: Sequence[Run], board: Board) -> list[Finding]:
     others = [f"{key} were {_rounded(value, 2)}, not {_rounded(before, 4)}" for key, value, before in named]
     in_degrees = any(key == "rotor_inertia_kgm2" and _near(before, DEGREES * value) for key, value, before in named)
     what = ", or ".join(["psi were in degrees"] * in_degrees + others)
-    remedy = "measure it again, in kg and m"
+    units = dict.fromkeys(UNITS[key.rpartition("_")[2]] for key, *_ in named)
+    remedy = f"measure it again, in {' or '.join(units)}"
     if any(key == "rotor_inertia_kgm2" for key, *_ in named):
         remedy += ", and check that psi is in rad"
     return [_finding(f"the board moves as if {what}", remedy, off)]

@@ -32,7 +32,7 @@ CLIP = 4.0
 FEWEST = 30
 """Numbers that an estimate needs."""
 COLOURED = 1.15
-"""Slower noise is believed where a source that sees it says so many times as much as the differences."""
+"""Slower noise is accepted if a source that includes it gives so many times the value of the differences."""
 REST = 1.0
 """Length [s] of the stretches that are searched for rest."""
 STILL = 1e-3
@@ -54,7 +54,10 @@ class Source(NamedTuple):
 
 
 def noise_of(case: Case) -> Noise:
-    """The noise that `case` states, else what its recordings show. **Raises:** as `estimate_noise`."""
+    """The noise that `case` states, or an estimate from its recordings.
+
+    **Raises:** as `estimate_noise`.
+    """
     return case.noise or estimate_noise(case.runs)
 
 
@@ -83,7 +86,7 @@ def estimate_noise(runs: Sequence[Run]) -> Noise:
 
 
 def noise_sources(runs: Sequence[Run]) -> dict[str, Source]:
-    """What each source that `runs` have says: "differences" always, "rest" and "repeats" where there are any.
+    """The noise of `runs` by source: "differences" always, "rest" and "repeats" if the runs contain them.
 
     **Raises:** `InputError` as `estimate_noise`.
     """
@@ -236,13 +239,14 @@ def _smooth(times: Float[np.ndarray, " n"], knots: float | None) -> Float[np.nda
 
 
 def marker_noise(markers: Float[np.ndarray, "n m d"]) -> Noise:
-    """The noise of a rigid body's pose from its `markers` [m] (n frames, m >= 3 markers, 2 or 3 coordinates; NaN where
-    one was lost): what they move against each other.
+    """The noise of the pose of a rigid body, from the motion of its `markers` [m] relative to each other.
 
-    Each frame is laid upon the mean shape by the rigid motion of least squares; of the d m numbers of a frame d (d + 1)
-    / 2 go into that motion, and d (m - 1) of all frames into the shape. With s the standard deviation of one coordinate
-    that is left, the body's position has s / sqrt(m), and its heading, the rotation about the third axis, s times the
-    root of the last diagonal entry of the inverse of sum (r^2 1 - r r^T). What moves all markers alike is not seen.
+    `markers`: n frames of m >= 3 markers with d = 2 or 3 coordinates; NaN where one was lost. Each frame is fitted to
+    the mean shape by a rigid motion (least squares). The motion takes d (d + 1) / 2 degrees of freedom of each frame,
+    and the shape d (m - 1) of all frames together. Let s be the standard deviation of one remaining coordinate. The
+    standard deviation of the position is s / sqrt(m). That of the heading, the rotation about the third axis, is s
+    times the square root of the last diagonal entry of the inverse of sum (r^2 1 - r r^T). An error common to all
+    markers is not included.
 
     **Raises:** `InputError` for fewer than 3 markers or 10 frames with all of them.
     """

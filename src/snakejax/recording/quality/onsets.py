@@ -18,6 +18,7 @@ MORE, BETTER = 1.15, 0.5
 """A window that leaves more than so many times the noise is too long; without a kink twice as much must be left."""
 POWERS = (2, 3, 4, 5)
 GRID = 30
+"""Powers of the time since the onset that describe a joint, and trial onsets before the refinement."""
 
 
 def onset(times: Float[np.ndarray, " n"], angles: Float[np.ndarray, " n"], noise: float) -> float | None:

@@ -22,6 +22,8 @@ SHAKY = 3.0
 """Noise that is so many times that of the rest of the run."""
 FLAT = 0.01
 LEVEL = 3.0
+"""A coordinate stands still if it spans less than the first, as a share of the other one, or than the second times its
+noise."""
 
 
 def area(track: PoseSeries, corners: tuple[float, float, float, float]) -> list[Finding]:

@@ -36,6 +36,7 @@ NOISY = 0.5
 """A yaw acceleration more than this share of whose square is noise tells nothing."""
 
 SEEN, YAW, ROTOR = range(3)
+"""Columns of the regression: the measured push, that of the yaw inertia and that of the rotor."""
 
 
 class Push(NamedTuple):

@@ -6,9 +6,9 @@ from .finding import Finding, PoseSeries, finding
 from .kinematics import third_difference
 
 STRAY = 0.05
-"""Stamps that stray by this share of a frame are said to."""
+"""Time stamps that deviate by this share of a frame are reported."""
 BETTER = 0.8
-"""The beat is believed where in a channel what bends the path shrinks to this share, and nowhere grows."""
+"""The constant frame rate is taken if the third differences of one channel fall to this share, and rise in none."""
 LONG = 5.0
 """A pause between two stamps of so many frames is one in which the clock may have jumped."""
 

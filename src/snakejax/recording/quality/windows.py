@@ -1,4 +1,4 @@
-"""What is found in windows of longer recordings: units are judged by all of them, and a useless one is left out."""
+"""Findings in windows of longer recordings: units are tested by all windows, and a window without use is omitted."""
 
 from collections import Counter
 from collections.abc import Sequence

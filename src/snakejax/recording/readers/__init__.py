@@ -29,7 +29,7 @@ KNOWN = "Vicon CSV, C3D, TRC, Motive CSV, Qualisys TSV, a ROS bag, or a table wi
 
 
 def read_capture(path: Path | str, hints: FileAnnotations = NO_HINTS) -> Capture:
-    """All that the file at `path` holds; its content says which format it is, and `hints` what it leaves open.
+    """Read the file at `path`; its format is recognised from its content. `hints`: see `FileAnnotations`.
 
     **Raises:** `InputError` with file, line and remedy.
     """
@@ -43,7 +43,7 @@ def read_capture(path: Path | str, hints: FileAnnotations = NO_HINTS) -> Capture
 
 
 def read_track(path: Path | str, object: str, hints: FileAnnotations = NO_HINTS) -> PoseTrack:
-    """The motion of `object` in the file at `path`, whose content says which format it is.
+    """The planar motion of `object` in the file at `path`; the format is recognised from its content.
 
     **Raises:** `InputError` with file, line and remedy.
     """

@@ -22,8 +22,11 @@ SAME = 1e-5
 LEAST_RATIO = math.pi / 2
 """The noise of a level body's tilt differs so much between two readings by itself: 2 sin(a/2) / a, up to a = pi."""
 MOST_SWING = math.radians(10.0)
+"""A board on a floor tilts less; a reading with more swing is wrong."""
 MOST_FRAMES, ROUNDS = 20_000, 6
+"""Frames that are compared, and rounds of the reweighting."""
 _NO_NOISE = 1e-9
+"""Lower limit [rad] of the angle in a weight."""
 
 
 class Reading(NamedTuple):
@@ -35,7 +38,7 @@ class Reading(NamedTuple):
     @staticmethod
     def given(angles: str) -> "Reading":
         """What the user states."""
-        return Reading(angles, f"{EULER.get(angles, VECTOR)}, as you say")
+        return Reading(angles, f"{EULER.get(angles, VECTOR)}, as given")
 
 
 def rotation_by(angles: str, values: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 4"]:
@@ -51,7 +54,7 @@ def reading_of(values: Float[np.ndarray, "n 3"]) -> Reading:
     some = values[:: max(1, len(values) // MOST_FRAMES)]
     some = some[np.isfinite(some).all(axis=1)]
     if not len(some):
-        return Reading(HELICAL, f"{VECTOR}, as Tracker usually writes it: the body was never seen")
+        return Reading(HELICAL, f"{VECTOR}, the default of Tracker: the body was never tracked")
     read = {angles: rotation_by(angles, some) for angles in ANGLES}
     headings = [_heading(read[angles]) for angles in (HELICAL, "xyz")]
     if np.abs(_wrapped(headings[0] - headings[1])).max() < SAME:
@@ -64,16 +67,20 @@ def reading_of(values: Float[np.ndarray, "n 3"]) -> Reading:
     euler = "XYZ" if swing["XYZ"] * LEAST_RATIO < swing["xyz"] else "xyz"
     shown = {angles: f"{math.degrees(size):.2g} degrees" for angles, size in swing.items()}
     if swing[euler] * LEAST_RATIO < swing[HELICAL] and swing[euler] < MOST_SWING:
-        description = f"{EULER[euler]}: so the body's normal swings by {shown[euler]}, as {VECTOR} by {shown[HELICAL]}"
+        description = (
+            f"{EULER[euler]}: the normal of the body then swings by {shown[euler]}; as {VECTOR}, by {shown[HELICAL]}"
+        )
         return Reading(euler, description)
     if swing[HELICAL] * LEAST_RATIO < swing[euler] and swing[HELICAL] < MOST_SWING:
-        description = f"{VECTOR}: so the body's normal swings by {shown[HELICAL]}, as Euler angles by {shown[euler]}"
+        description = (
+            f"{VECTOR}: the normal of the body then swings by {shown[HELICAL]}; as Euler angles, by {shown[euler]}"
+        )
         return Reading(HELICAL, description)
     long = float(np.linalg.norm(some, axis=1).max())
     if long > math.pi:
         why = f"it is up to {math.degrees(long):.0f} degrees long"
     else:
-        why = "as Tracker usually writes it; the motion does not tell"
+        why = "the default of Tracker; the motion does not show it"
     return Reading(HELICAL, f"{VECTOR}, {why}")
 
 

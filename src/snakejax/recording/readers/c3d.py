@@ -30,8 +30,12 @@ OUTPUTS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
 
 
 def recognises(source: Source) -> bool:
-    """Whether the first bytes point to a block of parameters and carry the format's key."""
-    return len(source.head) >= BLOCK and source.head[1] == MAGIC and 1 < source.head[0] < 9
+    """Whether the first bytes point to a block of parameters and carry the format's key, or the name ends in .c3d."""
+    head = source.head
+    if len(head) >= BLOCK and head[1] == MAGIC and 1 < head[0] < 9:
+        return True
+    # A damaged C3D is no text: the other readers would complain of its encoding.
+    return source.path.suffix.lower() == ".c3d" and not head.isascii()
 
 
 def read(source: Source) -> Capture:
@@ -42,7 +46,7 @@ def read(source: Source) -> Capture:
         what = f'Unknown unit "{shown(unit)}" of its points'
         raise InputError(what, str(path), f"export it with POINT:UNITS {' or '.join(LENGTH)}")
     if not SLOWEST < facts["rate"] < FASTEST:
-        raise InputError(f"A frame rate of {facts['rate']:.2g} Hz is none", str(path), REMEDY)
+        raise InputError(f"The frame rate of {facts['rate']:.2g} Hz is impossible", str(path), REMEDY)
     names = facts["labels"]
     points = arrays["points"]
     distances = np.abs(points[np.isfinite(points)])
@@ -77,14 +81,14 @@ def _notes(outputs: list[str]) -> list[str]:
     if not outputs:
         return []
     listed = ", ".join(outputs[:6]) + (", ..." if len(outputs) > 6 else "")
-    return [f"{len(outputs)} outputs of a model are no markers and passed over: {listed}"]
+    return [f"{len(outputs)} outputs of a model are not markers and are ignored: {listed}"]
 
 
 def _along(markers: dict[str, np.ndarray], axis: str, screen: str) -> Upward:
     """The end of `axis` that points up, where the file's Y_SCREEN is `screen`."""
     side = side_of(markers, axis)
     if side is None:
-        return Upward(axis, "the axis is the file's; nothing shows which of its ends is up, --up says otherwise")
+        return Upward(axis, "the axis is the file's; nothing shows which of its ends is up; change it with --up")
     reason = "the axis is the file's, and its markers lie above the floor that way"
     if (side[0] == "-") != screen.startswith("-"):
         reason += f"; Y_SCREEN {shown(screen)} is about a display"

@@ -21,6 +21,8 @@ ANGLE = {"rad": 1.0, "deg": math.pi / 180}
 TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
 LONGEST_SKIP = 100_000
 MOST_COLUMNS, HEADER_LINES = 30_000, 40
+"""Limits beyond which a file is damaged: frames that a number skips, columns of a table, and lines in which these are
+counted."""
 
 
 class Body(NamedTuple):
@@ -39,13 +41,13 @@ class Body(NamedTuple):
 
 
 class Capture(NamedTuple):
-    """All that was read of a file.
+    """The contents of one file: bodies and markers over time.
 
-    `rate` [Hz] is that of the file's frames, None where it has only time stamps. `markers` (n, 3) [m] by name are seen
-    at `times` [s] (n,), NaN where lost. `up` is the axis that points up unless a user knows better, `up_said` says why
-    that is thought, `up_known` whether the file tells the axis, and `up_open` whether nothing does. Names that come
-    more than once are `doubled`. `angles` says of each body that has three angles how they were read, `assumed` what
-    else was taken that neither the file nor the user says.
+    `rate` [Hz]: frame rate of the file, None if it has only time stamps. `markers` (n, 3) [m] by name, at `times` [s]
+    (n,); NaN where lost. `up`: the axis that points up, unless the user states another one; `up_said`: the reason;
+    `up_known`: whether the file states the axis; `up_open`: whether neither the file nor its format does. `doubled`:
+    names that occur more than once. `angles`: how the three angles of each body were read. `assumed`: sentences about
+    what neither the file nor the user states.
     """
 
     format: str
@@ -71,12 +73,12 @@ X_AXIS_DIRECTIONS = {"forward": 0.0, "left": np.pi / 2, "back": np.pi, "right": 
 
 
 class FileAnnotations(NamedTuple):
-    """What a user says of a file that it does not say itself; None is what the format usually has.
+    """What the user states about a file in addition to its contents; None means the usual value of the format.
 
-    `columns` of a plain table by what they hold, `units` by "length", "angle" and "time", the axis that points `up`, or
-    its components, where `markers` sit on the board, (x, y, z) [m] by name from the board's middle, x forward and z up,
-    where on the board the object's `x_axis` points, one of `X_AXIS_DIRECTIONS`, and how three `angles` are meant, of
-    `ANGLES`.
+    `columns`: names of the columns of a plain table, by what they hold. `units`: by "length", "angle" and "time". `up`:
+    the axis that points up, or its components. `markers`: places (x, y, z) [m] of markers by name, from the middle of
+    the board, x forward and z up. `x_axis`: the direction on the board of the object's x axis, one of
+    `X_AXIS_DIRECTIONS`. `angles`: the meaning of three angles, one of `ANGLES`.
     """
 
     columns: Mapping[str, str] | None = None

@@ -18,7 +18,9 @@ from .rotations import about_z, require_unit
 PLACE = ("x", "y", "z")
 TURN = ("qx", "qy", "qz", "qw")
 ROLES = ("time", *PLACE, "heading", *TURN, "object")
-QUANTITY = {"time": "time", "x": "length", "y": "length", "z": "length", "heading": "angle"}
+FRACTION = "fraction of the second"
+"""The role of a second clock beside one that shows whole seconds, as ROS writes sec and nanosec."""
+QUANTITY = {"time": "time", FRACTION: "time", "x": "length", "y": "length", "z": "length", "heading": "angle"}
 UNITS = {"length": LENGTH, "angle": ANGLE, "time": TIME}
 PLURAL = {"time": "time", "length": "lengths", "angle": "angles"}
 LOST = frozenset(("", "nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None"))
@@ -26,6 +28,8 @@ ROW = "row"
 COUNTED = -1
 """Where no column is a clock, but rows follow each other evenly."""
 MOST_LISTED = 8
+SAME_TIME = 0.3
+"""Two objects, one after the other, share the time in half of the rows; a clock that stutters does so in fewer."""
 _EXAMPLE = 'columns = {time = "name", x = "name", y = "name", heading = "name"}'
 
 
@@ -59,18 +63,20 @@ def columns_of(names: Sequence[str], units: Sequence[str], hints: FileAnnotation
     by_name = _named(names, units, hints.units or {}, {column.column_index for column in mapped}, "qx" not in roles)
     clocks = {c.object: c for c in (*by_name, *mapped) if c.role == "time"}
     more = [] if "x" in roles else [c for c in by_name if c.role != "time" and (c.object or c.role not in roles)]
-    used = [*(c for c in mapped if c.role != "time"), *more]
+    used = [*(c for c in mapped if c.role != "time"), *(c for c in more if c.role != FRACTION)]
     placed = {c.object for c in used if c.role == "x"} & {c.object for c in used if c.role == "y"}
     clock = clocks.get("") or (next(iter(clocks.values())) if len(clocks) == 1 else None)
     if clock is None or not placed:
         raise _unclear(names, clock is not None, bool(placed), where)
-    return [clock._replace(object=""), *(c for c in used if c.object in placed or c.role == "object")]
+    used = [c for c in used if c.object in placed or c.role == "object"]
+    fraction = [c for c in by_name if (c.object, c.role) == (clock.object, FRACTION) and clock.unit == "s"]
+    return [clock._replace(object=""), *fraction, *used]
 
 
 def _unclear(names: Sequence[str], clock: bool, placed: bool, where: str) -> InputError:
     listed = ", ".join(shown(name or str(i + 1), 20) for i, name in enumerate(names[:10]))
     lacks = "x and y" if clock else "the time" if placed else "time, x and y"
-    what = f"The names of the columns do not tell {lacks}: {listed}{', ...' if len(names) > 10 else ''}"
+    what = f"The names of the columns do not show {lacks}: {listed}{', ...' if len(names) > 10 else ''}"
     remedy = f"say which they are: {_EXAMPLE} in case.toml, or option --columns"
     if placed:
         remedy += f'; time = "{ROW}" with units = {{time = "0.01 s"}} where rows come every 0.01 s'
@@ -87,6 +93,7 @@ def _named(
     columns: dict[tuple[str, str], Column] = {}
     for i, p in parsed.items():
         role = f"q{p.role}" if p.object in turned and p.plain and p.role in PLACE else p.role
+        role = FRACTION if (p.object, role) in columns and role == "time" and p.unit in ("ms", "us", "ns") else role
         quantity = QUANTITY.get(role)
         stated = units[i] if i < len(units) else ""
         unit = (p.unit or stated or unit_hints.get(quantity or "", "")) if quantity else ""
@@ -111,8 +118,8 @@ def _mapped(
             known = " or ".join(UNITS[quantity or "length"])
             raise InputError(f'Unknown unit "{shown(unit)}" of column {shown(name)}', where, f"write {known} in units")
         if i == COUNTED and not unit:
-            remedy = 'write units = {time = "0.01 s"}, or whatever lies between two rows'
-            raise InputError("The rows are counted, and what lies between them is not said", where, remedy)
+            remedy = 'write units = {time = "0.01 s"}, or the actual time between two rows'
+            raise InputError("The rows are the clock, but the time between two rows is not given", where, remedy)
         mapped.append(Column("", role, i, unit))
     return mapped
 
@@ -166,11 +173,10 @@ def capture_of(
     if (blank := np.flatnonzero(~np.isfinite(held[clock.column_index]))).size:
         raise InputError(f"The time in row {int(blank[0]) + 1} of the data is blank", where, "fill or remove the row")
     columns, assumed = _with_units(columns, held, where)
-    clock = next(c for c in columns if c.role == "time")
-    times = held[clock.column_index] * (_factor(clock.unit, "time") or 1.0)
+    times, columns = _times(columns, held)
     by_object: dict[str, dict[str, Float[np.ndarray, " n"]]] = {}
     for c in columns:
-        if c.role not in ("time", "object"):
+        if c.role not in ("time", FRACTION, "object"):
             by_object.setdefault(c.object, {})[c.role] = held[c.column_index] * (_factor(c.unit, c.quantity) or 1.0)
     bodies: dict[str, Body] = {}
     markers: dict[str, np.ndarray] = {}
@@ -183,6 +189,7 @@ def capture_of(
                 raise InputError("The objects have no heading and no quaternion", where, "map those columns too")
             bodies[str(name)] = body
     else:
+        _require_one_object(times, by_object, where)
         for name, parts in by_object.items():
             if (body := _body(parts, times, name, where)) is not None:
                 bodies[name] = body
@@ -191,8 +198,43 @@ def capture_of(
     units = ", ".join(dict.fromkeys(c.unit for c in columns if c.unit))
     notes = [*assumed, *_unused(names, columns)]
     if "" in markers:
-        notes.append("a place alone, without heading or quaternion, is no pose of a board: --columns names theirs")
+        notes.append(
+            "a position without heading or quaternion is not a pose of a board; name their columns with --columns"
+        )
     return Capture(format, source.path, where, None, units, bodies, markers, times, notes=notes, assumed=assumed)
+
+
+def _times(
+    columns: Sequence[Column], values: Mapping[int, Float[np.ndarray, " n"]]
+) -> tuple[Float[np.ndarray, " n"], list[Column]]:
+    """The times [s] of the rows, and the columns without a second clock that is no fraction of whole seconds."""
+    clock = next(c for c in columns if c.role == "time")
+    times = values[clock.column_index] * (_factor(clock.unit, "time") or 1.0)
+    for c in columns:
+        if c.role == FRACTION:
+            fraction = values[c.column_index] * (_factor(c.unit, "time") or 1.0)
+            if (times == np.floor(times)).all() and ((fraction >= 0) & (fraction < 1)).all():
+                return times + fraction, list(columns)
+    return times, [c for c in columns if c.role != FRACTION]
+
+
+def _require_one_object(
+    times: Float[np.ndarray, " n"], by_object: Mapping[str, Mapping[str, np.ndarray]], where: str
+) -> None:
+    """Refuse a table where most rows show the time of the row before at another place: its rows are of several objects,
+    or its clock is too coarse. Rows that repeat both are doubled frames, which the inspection finds.
+
+    **Raises:** `InputError`.
+    """
+    moved = np.zeros(max(len(times) - 1, 0), bool)
+    for parts in by_object.values():
+        for role in PLACE:
+            moved |= np.abs(np.diff(parts.get(role, np.zeros(len(times))))) > 0
+    same = (np.diff(times) == 0) & moved
+    if same.sum() > SAME_TIME * len(times):
+        what = f"{int(same.sum()) + 1} of {len(times)} rows show the time of another row, but another place"
+        remedy = 'where each row is of one of several objects, write columns = {object = "name of the column"}; '
+        raise InputError(what, where, f'{remedy}where the clock is too coarse, name another, or time = "{ROW}"')
 
 
 def _with_units(
@@ -214,8 +256,8 @@ def _with_units(
         if c.role == "heading":
             assumed[c] = unit_of_angle(values[c.column_index], times, where)
     taken = {quantity: dict.fromkeys(unit for c, unit in assumed.items() if c.quantity == quantity) for quantity in SI}
-    phrases = [f"{' and '.join(units)} for {PLURAL[quantity]}" for quantity, units in taken.items() if units]
-    note = f"no unit is stated, taken are {', '.join(phrases)}; --units says otherwise"
+    phrases = [f"the {PLURAL[quantity]} (read in {' and '.join(units)})" for quantity, units in taken.items() if units]
+    note = f"no unit is stated for {', '.join(phrases)}; --units changes this"
     return [c._replace(unit=assumed.get(c, c.unit)) for c in columns], [note]
 
 

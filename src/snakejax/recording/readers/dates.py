@@ -1,4 +1,4 @@
-"""Dates with the time of day, as clocks of plain tables: 2026-01-31T12:00:00.5, 2026/1/31 9:05:00+01:00."""
+"""Dates with the time of day, or that time alone, as clocks of plain tables: 2026-01-31T12:00:00.5, 9:05:00.25."""
 
 import re
 from collections.abc import Sequence
@@ -14,17 +14,28 @@ from .numeric_table import Rows
 DATE = re.compile(
     r"(\d{4})[-/](\d{1,2})[-/](\d{1,2})[T ] ?(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)? ?(Z|[+-]\d\d:?\d\d)?"
 )
+TIME_OF_DAY = re.compile(r"(\d{1,2}):(\d{2}):(\d{2})(?:[.,](\d{1,9}))?")
+DAY = 86400.0
+"""Seconds of a day."""
+
+
+def is_date(cell: str) -> bool:
+    """Whether the cell holds a date with the time of day, or the time of day alone with its seconds."""
+    return bool(DATE.match(cell) or TIME_OF_DAY.fullmatch(cell.strip()))
 
 
 def seconds(dates: Sequence[str], rows: Rows) -> Float[np.ndarray, " n"]:
-    """`dates`, one for each of `rows`, as seconds since 1970, all in the zone of the first.
+    """`dates`, one for each of `rows`, as seconds since 1970, all in the zone of the first; times of day without a date
+    as seconds since the midnight before the first of them.
 
     **Raises:** `InputError` for one that is none, with its line, or is in another zone.
     """
     plain = []
     zones = set()
+    undated = TIME_OF_DAY.fullmatch(dates[0].strip()) is not None
     for row, date in enumerate(dates):
-        if (match := DATE.fullmatch(date.strip())) is None:
+        dated = f"1970-01-01 {date.strip()}" if undated else date.strip()
+        if (match := DATE.fullmatch(dated)) is None:
             raise _complaint(date, rows.where(row))
         year, month, day, hour, minute, second, fraction, zone = match.groups(default="")
         plain.append(f"{year}-{month:0>2}-{day:0>2}T{hour:0>2}:{minute}:{second or '00'}.{fraction or '0'}")
@@ -36,7 +47,11 @@ def seconds(dates: Sequence[str], rows: Rows) -> Float[np.ndarray, " n"]:
     except ValueError:
         bad = next(i for i, date in enumerate(plain) if not _is_date(date))
         raise _complaint(dates[bad], rows.where(bad)) from None
-    return stamps.astype(np.int64) * 1e-9
+    times = stamps.astype(np.int64) * 1e-9
+    if not undated:
+        return times
+    midnights = np.diff(times, prepend=times[:1]) < -DAY / 2
+    return times + DAY * np.cumsum(midnights)
 
 
 def _is_date(date: str) -> bool:

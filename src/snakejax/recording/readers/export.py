@@ -17,6 +17,7 @@ POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 PLANAR = ("x_m", "y_m", "heading_rad")
 POINT = ("x_m", "y_m", "z_m")
 AT_ONCE = 100_000
+"""Rows that are written at once, to limit the memory."""
 
 
 def write_csv(capture: Capture, path: Path, objects: Sequence[str] = (), hints: FileAnnotations | None = None) -> None:

@@ -19,6 +19,7 @@ SUFFIX = {"angle": "_rad", "speed": "_mps", "torque": "_Nm", "command": ""}
 """What a column's name adds to that of an input, by its kind; the bare name is as good."""
 JOINTS = (Input("phi", "angle", "steering"), Input("psi", "angle", "rotor"), Input("phi_back", "angle", "back", "-phi"))
 FEWEST_ROWS = 4
+"""A cubic spline needs four knots."""
 
 
 class InputLog(NamedTuple):

@@ -8,7 +8,9 @@ from jaxtyping import Float
 from .rigid_body import kabsch, limit_of
 
 MOST_FRAMES = 2000
+"""Frames from which the shape is averaged, evenly spaced."""
 LEAST_APART = 0.01
+"""Front and back [m] nearer to each other than this are one place."""
 
 
 def shape_of(points: Float[np.ndarray, "n m 3"]) -> Float[np.ndarray, "m 3"] | None:

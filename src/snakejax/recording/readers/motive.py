@@ -26,6 +26,7 @@ from .rotations import from_euler, require_unit
 
 LENGTHS = {"Meters": "m", "Centimeters": "cm", "Millimeters": "mm", "Inches": "in", "Feet": "ft"}
 MOST_HEADER_ROWS = 12
+"""Rows that are searched for the row of titles; Motive writes about seven before the data."""
 BODIES = ("Rigid Body", "Bone")
 MARKERS = ("Marker", "Rigid Body Marker", "Bone Marker")
 
@@ -88,7 +89,7 @@ def read(source: Source) -> Capture:
         elif (kind == "Marker" or name not in markers) and not name.startswith("Unlabeled"):
             markers[name] = place
     lost = sum(1 for kind, name in {(c.kind, c.name) for c in columns} if name.startswith("Unlabeled"))
-    notes = [f"{lost} unlabelled markers are passed over"] if lost else []
+    notes = [f"{lost} unlabelled markers are ignored"] if lost else []
     first = [(c.kind, c.name) for c in columns if (c.part, c.axis) == ("Position", "X") and c.kind]
     doubled = [name for _, name in repeated(first) if name in bodies or name in markers]
     return Capture("Motive CSV", path, where, rate, unit, bodies, markers, times, up="y", doubled=doubled, notes=notes)

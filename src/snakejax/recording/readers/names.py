@@ -18,11 +18,15 @@ UNIT_WORDS = {
     "rad": ("rad", "rads", "radian", "radians"),
     "deg": ("deg", "degs", "degree", "degrees", "°"),
     "s": ("s", "sec", "secs", "second", "seconds"),
-    "ms": ("ms", "msec", "millisecond", "milliseconds"),
-    "us": ("us", "µs", "usec", "microsecond", "microseconds"),
-    "ns": ("ns", "nsec", "nanosecond", "nanoseconds"),
+    "ms": ("ms", "msec", "msecs", "millisecond", "milliseconds"),
+    "us": ("us", "µs", "usec", "usecs", "microsecond", "microseconds"),
+    "ns": ("ns", "nsec", "nsecs", "nanosec", "nanosecs", "nanosecond", "nanoseconds"),
 }
 UNIT_OF = {word: unit for unit, words in UNIT_WORDS.items() for word in words}
+CLOCKS = tuple(
+    word for unit in ("s", "ms", "us", "ns") for word in UNIT_WORDS[unit] if len(word) > 2 and word != "second"
+)
+"""Words that by themselves name a clock: ROS writes a time as header.stamp.sec and header.stamp.nanosec."""
 HEADINGS = ("heading", "yaw", "theta")
 TIMES = ("time", "t", "timestamp", "timestamps", "stamp", "times")
 PLACES = (
@@ -95,19 +99,26 @@ class Named(NamedTuple):
     unit: str
 
 
+def without_unit(name: str) -> tuple[str, str]:
+    """`name` without the unit at its end, and that unit: "nose (mm)" is "nose" and "mm"."""
+    text = name.strip()
+    match = _UNIT.search(text)
+    if match is None or match.start() == 0:
+        return text, ""
+    return text[: match.start()], UNIT_OF[match["unit"].lower()]
+
+
 def named(name: str) -> Named | None:
     """What `name` says; None where it says nothing of a place, a turn or a time."""
-    text, unit = name.strip(), ""
-    if (match := _UNIT.search(text)) and match.start() > 0:
-        text, unit = text[: match.start()], UNIT_OF[match["unit"].lower()]
+    text, unit = without_unit(name)
     if match := _INDEX.fullmatch(text):
         axis = int(match["index"])
         return _of(match["rest"], AXES[axis], unit) if axis < 3 else None
     words = [word for word in _SPLIT.split(text) if word]
     if not words:
         return None
-    if len(words) == 1 and UNIT_OF.get(words[0].lower()) == "s" and words[0].lower() not in ("s", "second"):
-        return Named("", "time", False, "s")
+    if words[-1].lower() in CLOCKS and all(word.lower() in (*CARRIERS, *TIMES) for word in words[:-1]):
+        return Named("", "time", False, UNIT_OF[words[-1].lower()])
     if (role := _role(words[-1])) is not None:
         return _of(text[: text.rindex(words[-1])], role, unit)
     if (role := _role(words[0])) not in (None, "time"):

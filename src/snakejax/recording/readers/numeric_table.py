@@ -15,6 +15,7 @@ from .capture import LONGEST_SKIP
 from .cells import number, split
 
 AT_ONCE = 4_000_000
+"""Characters that are parsed at once, to limit the memory."""
 _NUMERIC = b"0123456789+-.eE,"
 
 

@@ -15,8 +15,11 @@ from .rigid_body import LEAST_SPREAD, Placed, placed
 from .rotations import AXES, heading_of, unwrapped, upright
 
 FEWEST_SAMPLES = 10
+"""Samples below which no object counts as tracked."""
 FARTHEST = 1e9
+"""A pose beyond [m, rad] is a damaged number."""
 WORST_TEMPLATE = 0.2
+"""Usual residual of the markers, as a share of their spread, above which the template is wrong."""
 
 
 class PoseTrack(NamedTuple):
@@ -48,7 +51,7 @@ def body_of(capture: Capture, object: str, hints: FileAnnotations) -> Body:
         return fitted(capture, object, hints)[0]
     prefixes = subjects(capture)
     if object in prefixes or ("" in prefixes and not capture.bodies):
-        what = f'Of "{shown(object)}" the file has markers, and where they sit on the board it cannot say'
+        what = f'The file holds markers of "{shown(object)}", but not their places on the board'
         remedy = "give markers = {name = [x, y, z], ...} in m from the board's middle, or use `snakejax import`"
         raise InputError(what, capture.where, remedy)
     raise InputError(
@@ -68,13 +71,17 @@ def fitted(capture: Capture, object: str, hints: FileAnnotations) -> tuple[Body,
     for name in hints.markers:
         marker = next((full for full in (f"{object}:{name}", name) if full in capture.markers), None)
         if marker is None or marker in capture.doubled:
-            what = f'There is no marker "{shown(name)}"' if marker is None else f'The marker "{shown(name)}" is doubled'
+            what = (
+                f'There is no marker "{shown(name)}"' if marker is None else f'The marker "{shown(name)}" appears twice'
+            )
             raise InputError(f"{what} in the file", capture.where, listed(name, [*capture.markers]))
         names.append(marker)
     template = np.array([hints.markers[name] for name in hints.markers], float)
     spread = float(np.sqrt(((template - template.mean(axis=0)) ** 2).sum(axis=1).mean()))
     if len(template) < 2 or spread < LEAST_SPREAD:
-        raise InputError("Two markers apart from each other are the least", capture.where, "give more under markers")
+        raise InputError(
+            "At least two markers at different places are needed", capture.where, "give more under markers"
+        )
     turn = upright(up_by(capture, hints))
     points = np.stack([capture.markers[name] for name in names], axis=1)
     place = placed(template, points @ turn.T, AXES["z"])

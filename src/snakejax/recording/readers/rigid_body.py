@@ -16,13 +16,18 @@ from snakejax.core.rotations import nearest_rotations
 from .rotations import from_matrix
 
 AT_ONCE = 50_000
+"""Frames that are fitted at once, to limit the memory."""
 # Weight of "the board's z points up" beside the markers: next to nothing, yet enough for two markers to fix a heading.
 UPRIGHT_WEIGHT = 1e-6
 LEAST_SPREAD = 0.005
+"""Markers [m] nearer to each other do not show a heading."""
 WORST_OVER_BEST = 10.0
 LEAST_LIMIT = 0.001
+"""A frame is bad above so many times the residual of the best tenth of the frames, and above this residual [m]."""
 FEWEST_TO_TRUST = 3
 MOST_TO_TURN = 9
+"""Markers that a corrected frame must keep, and up to which rotations of three labels are tried; their number grows as
+m^3."""
 
 
 class Placed(NamedTuple):
@@ -76,7 +81,7 @@ def placed(
     up: Float[np.ndarray, "3"],
     weights: Float[np.ndarray, " m"] | None = None,
 ) -> Placed:
-    """The pose of the template in every frame; frames that do not fit are mended, or else lost."""
+    """The pose of the template in every frame; frames that do not fit are corrected, or count as lost."""
     parts = [kabsch(template, points[i : i + AT_ONCE], up, weights) for i in range(0, len(points), AT_ONCE)]
     R, t, residual = (np.concatenate(part) for part in zip(*parts, strict=True))
     limit = limit_of(residual)

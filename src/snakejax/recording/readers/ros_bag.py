@@ -25,6 +25,7 @@ TRANSFORM = "geometry_msgs/msg/TransformStamped"
 TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 READ = (*POSES, BARE, PLANAR, TRANSFORM, *TF)
 MOST_LISTED = 12
+"""Topics or objects that a note lists."""
 
 
 class Sample(NamedTuple):

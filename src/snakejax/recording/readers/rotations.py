@@ -18,6 +18,7 @@ UPRIGHT = {
 }
 AXES = {name: np.array(turn[2], float) for name, turn in UPRIGHT.items()}
 UNIT_LENGTH = 0.01
+"""Deviation of the length of a quaternion from 1 that rounding to three digits may cause."""
 
 
 def upright(up: str | Sequence[float]) -> Float[np.ndarray, "3 3"]:

@@ -23,6 +23,8 @@ MEMORY = 1 << 30
 MEMORY_A_BYTE = 24
 SECONDS = 9.0
 BYTES_A_SECOND = 1e6
+"""Limits of the process, chosen by us: bytes of memory, bytes for each byte of the file, seconds, and bytes of the file
+that are read in a second."""
 _CHILD = "from snakejax.recording.readers.subprocess_reader import child; child()"
 
 

@@ -20,6 +20,7 @@ from .numeric_table import Rows, numbers, ticks
 from .upward import upward
 
 HEADER_ROWS = 4
+"""Rows before the row of axes."""
 LOST = ("nan", "NaN", "NAN")
 LENGTHS = LENGTH | {"meters": 1.0, "millimeters": 1e-3, "centimeters": 1e-2}
 

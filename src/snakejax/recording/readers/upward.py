@@ -22,8 +22,11 @@ NEAR = 0.5
 BOUNCE = 0.15
 """By so much [m] the lowest marker may rise and sink: that of a person who walks, not of one who passes by."""
 TALLER = 2.0
+"""A person is so many times taller than wide."""
 MOST_TILT = np.deg2rad(10.0)
+"""Tilt of a plane of motion above which it is not the floor."""
 MOST_FRAMES, MOST_MARKERS = 2000, 200
+"""Frames and markers from which the floor is found, evenly spaced."""
 AXES = ("x", "y", "z")
 
 

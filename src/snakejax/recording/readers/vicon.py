@@ -31,6 +31,7 @@ ANGLED = ("RX", "RY", "RZ", "TX", "TY", "TZ")
 QUATERNION = ("RX", "RY", "RZ", "RW", "TX", "TY", "TZ")
 POSITION = ("X", "Y", "Z")
 HEADER_ROWS = 5
+"""Rows of a section before its data: name, rate, objects, titles and units."""
 _SECTION = re.compile(rf'^[ \t,;"]*({"|".join((*BODIES, MARKERS))})[ \t,;"]*$', re.MULTILINE)
 
 
