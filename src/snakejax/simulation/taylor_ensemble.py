@@ -1,0 +1,283 @@
+"""Ensembles by Taylor series: members in vectors of eight doubles, each with its own steps, by heyoka.
+
+The method is that of Jorba and Zou (2005), as heyoka implements it (Biscani and Izzo 2021): the order follows from the
+tolerance, the step from the last coefficients. Sine, cosine and arctangent are evaluated once for a step; all other
+coefficients are sums and products.
+"""
+
+import copy
+import importlib.util
+import queue
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from snakejax.core.parallel import cores
+from snakejax.dynamics.inputs import AbstractInputs
+from snakejax.dynamics.model import Model
+
+from .integrate import Accuracy
+from .taylor_series import Level, NoTaylorSeries, Trace, equations
+
+SHARE = 256
+"""Members whose parameters are computed at a time."""
+INSTANTS = 129
+"""Times of the run at which a branch on time must be the same. A shorter exception goes unnoticed, as it may between
+the stages of a Runge-Kutta step."""
+TOLERANCE = 3.0
+"""Tolerance of the series for one unit of `Accuracy.rtol`: the error is then below that of the Runge-Kutta method."""
+STRAIGHT_LINE = 20_000
+"""Quantities times order up to which the program is one straight line, a few times faster than loops; a longer one
+would take seconds to compile."""
+PROGRAMS = 16
+"""Compiled programs that are kept."""
+
+
+class Ensemble(NamedTuple):
+    """V members: stacked `models` and, with `own_gaits`, stacked gaits; start poses (V, 3); `times` (n,) [s].
+
+    `varied` says of each leaf of (models, gaits) whether it differs between members; the others are constants of the
+    compiled program.
+    """
+
+    models: Model
+    gaits: AbstractInputs
+    starts: Float[np.ndarray, "V 3"]
+    times: Float[np.ndarray, " n"]
+    own_gaits: bool
+    varied: tuple[bool, ...]
+
+    @staticmethod
+    def of(
+        models: Model, gaits: AbstractInputs, starts: np.ndarray, times: np.ndarray, own_gaits: bool, by_value: bool
+    ) -> "Ensemble":
+        """An ensemble whose leaves vary where their values differ, or else where they are no broadcast of one value."""
+        models, gaits = jax.tree.map(np.asarray, (models, gaits))
+        stacked = jax.tree.leaves((models, gaits if own_gaits else None))
+
+        def varies(leaf: np.ndarray) -> bool:
+            return leaf.strides[0] != 0 and not (by_value and (leaf == leaf[:1]).all())
+
+        alike = () if own_gaits else (False,) * len(jax.tree.leaves(gaits))
+        return Ensemble(models, gaits, starts, times, own_gaits, (*map(varies, stacked), *alike))
+
+    def leaves(self, rows: slice | np.ndarray) -> list[np.ndarray]:
+        """The leaves of (models, gaits): of the members `rows` where they vary, else of one member."""
+        stacked = len(self.varied) if self.own_gaits else len(jax.tree.leaves(self.models))
+        return [
+            leaf[rows] if varies else leaf[0] if k < stacked else leaf
+            for k, (leaf, varies) in enumerate(zip(jax.tree.leaves((self.models, self.gaits)), self.varied, strict=True))
+        ]
+
+
+class Series(NamedTuple):
+    """Poses (V, n, 3) and, for each member, why it has none by Taylor series: empty where it has."""
+
+    poses: Float[np.ndarray, "V n 3"]
+    refusals: np.ndarray
+
+    @property
+    def solved(self) -> Bool[np.ndarray, " V"]:
+        """The members whose poses are those of a Taylor series."""
+        return self.refusals == ""
+
+
+def taylor_present() -> bool:
+    """Whether heyoka, of the extra `taylor`, is installed."""
+    return importlib.util.find_spec("heyoka") is not None
+
+
+def by_taylor_series(ensemble: Ensemble, accuracy: Accuracy, workers: int | None) -> Series:
+    """Simulate the members of `ensemble` by Taylor series, as far as they have one."""
+    count, program = len(ensemble.starts), _program(ensemble)
+
+    def share(first: int) -> Series:
+        # A share is filled up with copies of the last member, which are dropped: one program serves any number.
+        rows = np.minimum(np.arange(first, first + SHARE), count - 1)
+        size = min(SHARE, count - first)
+        return Series(*(part[:size] for part in program.simulated(ensemble, rows, size, accuracy)))
+
+    with ThreadPoolExecutor(workers or cores()) as pool:
+        parts = list(pool.map(share, range(0, count, SHARE)))
+    return Series(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+
+
+_PROGRAMS: dict[Any, "_Program"] = {}
+_BUILDING = threading.RLock()
+
+
+def _program(ensemble: Ensemble) -> "_Program":
+    leaves = ensemble.leaves(0)
+    structure = jax.tree.structure((ensemble.models, ensemble.gaits))
+    key = (structure, ensemble.varied, *((np.shape(leaf), leaf.dtype) for leaf in leaves))
+    return _kept(_PROGRAMS, key, lambda: _Program(structure, leaves, ensemble.varied))
+
+
+def _kept(cache: dict, key: Any, make: Callable[[], Any]) -> Any:
+    """The entry of `cache` under `key`, made if it is missing; the oldest of too many is dropped."""
+    with _BUILDING:
+        if key not in cache:
+            if len(cache) >= PROGRAMS:
+                del cache[next(iter(cache))]
+            cache[key] = make()
+        return cache[key]
+
+
+class _Start(NamedTuple):
+    """What is known of V members before their integration; `steady` says of each branch that it stays the same."""
+
+    begins: np.ndarray
+    ends: np.ndarray
+    state: list[np.ndarray]
+    residuals: list[np.ndarray]
+    choices: np.ndarray
+    steady: np.ndarray
+
+
+class _Program:
+    """The trace of models of one structure, and the integrators compiled from it."""
+
+    def __init__(self, structure: Any, leaves: Sequence[np.ndarray], varied: tuple[bool, ...]) -> None:
+        model, _ = jax.tree.unflatten(structure, leaves)
+        initial, state_structure = jax.tree.flatten(model.start((jnp.zeros(()),) * 3))
+
+        def rates(t, state, *leaves):
+            model, gait = jax.tree.unflatten(structure, leaves)
+            return jax.tree.leaves(model.rates(t, jax.tree.unflatten(state_structure, state), gait))
+
+        self.trace = trace = Trace(rates, len(initial), leaves, varied)
+        self.residuals, self.decisions = trace.residuals(), trace.decisions()
+        self.sizes = [int(np.prod(trace.shapes[op.takes[0]])) for op in self.decisions]
+        changing = any(trace.choice_level(op) == Level.TIME for op in self.decisions)
+        self.integrators: dict[Any, _Integrator | str] = {}
+        axes = [0 if varies else None for varies in varied]
+
+        def before(start, times, *leaves):
+            model, gait = jax.tree.unflatten(structure, leaves)
+            begins = gait.begins()
+            ends = jnp.maximum(times - model.delay(), begins)
+            at = begins + (ends[-1] - begins) * jnp.linspace(0.0, 1.0, INSTANTS if changing else 1)
+            choices = jax.vmap(lambda t: jnp.concatenate([jnp.zeros(0, int), *map(jnp.ravel, trace.decided(t, leaves))]))(at)
+            state = jax.tree.leaves(model.start((start[0], start[1], start[2])))
+            residuals = list(trace.evaluated(self.residuals, None, leaves).values())
+            return _Start(begins, ends, state, residuals, choices[0], (choices == choices[0]).all(axis=0))
+
+        shared = [None if trace.levels[k] == Level.CONSTANT else 0 for k in self.residuals]
+        self.before = jax.jit(jax.vmap(before, (0, None, *axes), _Start(0, 0, 0, shared, 0, 0)))
+
+        def observed(states, *leaves):
+            model, _ = jax.tree.unflatten(structure, leaves)
+            body, _ = jax.tree.unflatten(state_structure, list(states))
+            return jnp.stack(jnp.broadcast_arrays(*model.observe(body)), axis=-1)
+
+        self.observed = jax.jit(jax.vmap(observed, (0, *axes)))
+
+    def simulated(self, ensemble: Ensemble, rows: np.ndarray, size: int, accuracy: Accuracy) -> Series:
+        """The first `size` of the members `rows`; the poses of the others mean nothing."""
+        leaves = ensemble.leaves(rows)
+        start = jax.tree.map(np.asarray, self.before(ensemble.starts[rows], ensemble.times, *leaves))
+        states = np.full((len(rows), len(start.state), ensemble.times.size), np.nan)
+        refusals = np.full(len(rows), "", object)
+        early = (start.ends <= start.begins[:, None]).sum(axis=1)
+        kinds, kind = np.unique(np.column_stack([early, start.steady, start.choices])[:size], axis=0, return_inverse=True)
+        for number, row in enumerate(kinds):
+            members = np.flatnonzero(kind.reshape(-1) == number)
+            integrator = self._integrator(start, members[0], accuracy)
+            if isinstance(integrator, str):
+                refusals[members] = integrator
+                continue
+            finished = integrator.states(start, members, int(row[0]), accuracy.max_steps, states)
+            refusals[members[~finished]] = "its Taylor series does not reach the end of the run"
+        poses = np.asarray(self.observed(states, *leaves))
+        refusals[(refusals == "") & ~np.isfinite(poses).all(axis=(1, 2))] = "its pose is not finite"
+        return Series(poses, refusals.astype(str))
+
+    def _integrator(self, start: _Start, member: int, accuracy: Accuracy) -> "_Integrator | str":
+        """The integrator for the branches that `member` takes, or why there is none."""
+        if not start.steady[member].all():
+            which = int(np.searchsorted(np.cumsum(self.sizes), np.flatnonzero(~start.steady[member])[0], side="right"))
+            return str(self.decisions[which].refused("its rates take another branch in the course of the run"))
+        constant = [trace_level == Level.CONSTANT for trace_level in map(self.trace.levels.get, self.residuals)]
+        constants = {k: v for k, v, known in zip(self.residuals, start.residuals, constant, strict=True) if known}
+        choices = start.choices[member]
+        tolerance = TOLERANCE * min(accuracy.rtol, 100 * accuracy.atol)
+        key = (tolerance, choices.tobytes(), *(value.tobytes() for value in constants.values()))
+
+        def make() -> "_Integrator | str":
+            shapes = [self.trace.shapes[op.takes[0]] for op in self.decisions]
+            parts = np.split(choices, np.cumsum(self.sizes)[:-1]) if self.sizes else []
+            try:
+                system = equations(self.trace, constants, [p.reshape(s) for p, s in zip(parts, shapes, strict=True)])
+            except NoTaylorSeries as why:
+                return str(why)
+            numbers = {quantity: place for place, quantity in enumerate(self.residuals)}
+            return _Integrator(system.system, [(numbers[k], e) for k, e in system.parameters], tolerance)
+
+        return _kept(self.integrators, key, make)
+
+
+class _Integrator:
+    """A compiled integrator of a batch of members; each thread runs a copy."""
+
+    def __init__(self, system: list, parameters: list[tuple[int, int]], tolerance: float) -> None:
+        import heyoka as hy
+
+        self.batch, self.parameters = hy.recommended_simd_size(), parameters
+        zeros = np.zeros((len(system), self.batch))
+        order = np.ceil(1 - np.log(tolerance) / 2)
+        compact = len(hy.var_ode_sys(system, hy.var_args.vars).sys) * order > STRAIGHT_LINE
+        self.original = hy.taylor_adaptive_batch(system, zeros, tol=tolerance, compact_mode=bool(compact), force_avx512=True)
+        self.done = hy.taylor_outcome.time_limit
+        self.limits = (hy.taylor_outcome.step_limit, hy.taylor_outcome.err_nf_state)
+        self.free: queue.SimpleQueue = queue.SimpleQueue()
+
+    def states(
+        self, start: _Start, members: np.ndarray, early: int, max_steps: int, states: np.ndarray
+    ) -> Bool[np.ndarray, " m"]:
+        """Write the states of `members` at their times, from number `early` on after their start, into `states`.
+
+        Returns which members reached the end.
+        """
+        states[members, :, :early] = np.stack([part[members] for part in start.state], axis=1)[..., None]
+        finished = np.ones(len(members), bool)
+        if early == states.shape[2]:
+            return finished
+        try:
+            integrator = self.free.get_nowait()
+        except queue.Empty:
+            integrator = copy.copy(self.original)
+        waiting = list(range(len(members)))
+        while waiting:
+            batch, waiting = waiting[: self.batch], waiting[self.batch :]
+            rows = members[np.resize(batch, self.batch)]
+            reached = self._propagated(integrator, start, rows, early, max_steps)
+            for lane, one in enumerate(batch):
+                outcome = integrator.propagate_res[lane][0]
+                if outcome == self.done:
+                    states[members[one], :, early:] = reached[..., lane].T
+                elif outcome in self.limits:
+                    finished[one] = False
+                else:  # Another member of the batch failed and stopped all.
+                    waiting.append(one)
+        self.free.put(integrator)
+        return finished
+
+    def _propagated(self, integrator: Any, start: _Start, rows: np.ndarray, early: int, max_steps: int) -> np.ndarray:
+        """The states (n - early, states, batch) of the members `rows`."""
+        integrator.set_time(start.begins[rows])
+        for k, part in enumerate(start.state):
+            integrator.state[k] = part[rows]
+        for k, (residual, element) in enumerate(self.parameters):
+            integrator.pars[k] = start.residuals[residual].reshape(len(start.begins), -1)[rows, element]
+        ends = start.ends[rows].T
+        if len(ends) == early + 1:
+            integrator.propagate_until(ends[-1], max_steps=max_steps)
+            return integrator.state[None].copy()
+        grid = np.concatenate([start.begins[rows][None], ends[early:]])
+        return integrator.propagate_grid(grid, max_steps=max_steps)[-1][1:]
