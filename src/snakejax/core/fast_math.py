@@ -56,11 +56,11 @@ _LOST_QUARTER = 6.123233995736765886130e-17
 
 
 SINE_COSINE, ARCTAN = "snakejax_sine_cosine", "snakejax_arctan"
-"""Names of the two functions in a trace: a reader that knows the derivatives of sine and arctangent takes those."""
+"""Names in a trace of the two functions: a reader of the trace that has a sine and an arctangent takes its own."""
 
 
-def _named(name: str) -> Callable[[F], F]:
-    """Compile a function under `name`."""
+def named(name: str) -> Callable[[F], F]:
+    """A function of scalars that a trace shows as one operation of this `name`."""
 
     def change(function: F) -> F:
         function.__name__ = name
@@ -92,7 +92,7 @@ def _polynomial(coefficients: tuple[float, ...], x: Scalar) -> Scalar:
 
 
 @jax.custom_jvp
-@_named(SINE_COSINE)
+@named(SINE_COSINE)
 def sine_cosine(x: Scalar) -> tuple[Scalar, Scalar]:
     """(sin x, cos x) of x [rad]; the errors grow above |x| of about 1e5, far beyond any joint angle or heading."""
     x = jnp.asarray(x, jnp.float64)
@@ -118,7 +118,7 @@ def _sine_cosine_jvp(primals, tangents):
 
 
 @jax.custom_jvp
-@_named(ARCTAN)
+@named(ARCTAN)
 def arctan(x: Scalar) -> Scalar:
     """atan(x) [rad], within 2 units in the last place (Moshier's Cephes)."""
     x = jnp.asarray(x, jnp.float64)

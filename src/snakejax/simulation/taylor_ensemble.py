@@ -6,7 +6,7 @@ coefficients are sums and products.
 """
 
 import copy
-import importlib.util
+import importlib.metadata
 import queue
 import threading
 from collections.abc import Callable, Sequence
@@ -35,6 +35,7 @@ TOLERANCE = 3.0
 STRAIGHT_LINE = 20_000
 """Quantities times order up to which the program is one straight line, a few times faster than loops; a longer one
 would take seconds to compile."""
+FAST = 1
 PROGRAMS = 16
 """Compiled programs that are kept."""
 
@@ -72,40 +73,40 @@ class Ensemble(NamedTuple):
         stacked = len(self.varied) if self.own_gaits else len(jax.tree.leaves(self.models))
         return [
             leaf[rows] if varies else leaf[0] if k < stacked else leaf
-            for k, (leaf, varies) in enumerate(zip(jax.tree.leaves((self.models, self.gaits)), self.varied, strict=True))
+            for k, (leaf, varies) in enumerate(
+                zip(jax.tree.leaves((self.models, self.gaits)), self.varied, strict=True)
+            )
         ]
 
 
-class Series(NamedTuple):
-    """Poses (V, n, 3) and, for each member, why it has none by Taylor series: empty where it has."""
+class Poses(NamedTuple):
+    """Poses (V, n, 3) of an ensemble, and why a member was not integrated by Taylor series: "" where it was."""
 
     poses: Float[np.ndarray, "V n 3"]
     refusals: np.ndarray
 
-    @property
-    def solved(self) -> Bool[np.ndarray, " V"]:
-        """The members whose poses are those of a Taylor series."""
-        return self.refusals == ""
+
+def heyoka_version() -> str | None:
+    """The version of heyoka, of the extra `taylor`, or None if it is not installed."""
+    try:
+        return importlib.metadata.version("heyoka")
+    except importlib.metadata.PackageNotFoundError:
+        return None
 
 
-def taylor_present() -> bool:
-    """Whether heyoka, of the extra `taylor`, is installed."""
-    return importlib.util.find_spec("heyoka") is not None
-
-
-def by_taylor_series(ensemble: Ensemble, accuracy: Accuracy, workers: int | None) -> Series:
+def by_taylor_series(ensemble: Ensemble, accuracy: Accuracy, workers: int | None) -> Poses:
     """Simulate the members of `ensemble` by Taylor series, as far as they have one."""
     count, program = len(ensemble.starts), _program(ensemble)
 
-    def share(first: int) -> Series:
+    def share(first: int) -> Poses:
         # A share is filled up with copies of the last member, which are dropped: one program serves any number.
         rows = np.minimum(np.arange(first, first + SHARE), count - 1)
         size = min(SHARE, count - first)
-        return Series(*(part[:size] for part in program.simulated(ensemble, rows, size, accuracy)))
+        return Poses(*(part[:size] for part in program.simulated(ensemble, rows, size, accuracy)))
 
     with ThreadPoolExecutor(workers or cores()) as pool:
         parts = list(pool.map(share, range(0, count, SHARE)))
-    return Series(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    return Poses(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
 _PROGRAMS: dict[Any, "_Program"] = {}
@@ -153,6 +154,7 @@ class _Program:
 
         self.trace = trace = Trace(rates, len(initial), leaves, varied)
         self.residuals, self.decisions = trace.residuals(), trace.decisions()
+        self.alike = [trace.levels[k] == Level.CONSTANT for k in self.residuals]
         self.sizes = [int(np.prod(trace.shapes[op.takes[0]])) for op in self.decisions]
         changing = any(trace.choice_level(op) == Level.TIME for op in self.decisions)
         self.integrators: dict[Any, _Integrator | str] = {}
@@ -163,12 +165,14 @@ class _Program:
             begins = gait.begins()
             ends = jnp.maximum(times - model.delay(), begins)
             at = begins + (ends[-1] - begins) * jnp.linspace(0.0, 1.0, INSTANTS if changing else 1)
-            choices = jax.vmap(lambda t: jnp.concatenate([jnp.zeros(0, int), *map(jnp.ravel, trace.decided(t, leaves))]))(at)
+            choices = jax.vmap(
+                lambda t: jnp.concatenate([jnp.zeros(0, int), *map(jnp.ravel, trace.decided(t, leaves))])
+            )(at)
             state = jax.tree.leaves(model.start((start[0], start[1], start[2])))
             residuals = list(trace.evaluated(self.residuals, None, leaves).values())
             return _Start(begins, ends, state, residuals, choices[0], (choices == choices[0]).all(axis=0))
 
-        shared = [None if trace.levels[k] == Level.CONSTANT else 0 for k in self.residuals]
+        shared = [None if alike else 0 for alike in self.alike]
         self.before = jax.jit(jax.vmap(before, (0, None, *axes), _Start(0, 0, 0, shared, 0, 0)))
 
         def observed(states, *leaves):
@@ -178,14 +182,16 @@ class _Program:
 
         self.observed = jax.jit(jax.vmap(observed, (0, *axes)))
 
-    def simulated(self, ensemble: Ensemble, rows: np.ndarray, size: int, accuracy: Accuracy) -> Series:
+    def simulated(self, ensemble: Ensemble, rows: np.ndarray, size: int, accuracy: Accuracy) -> Poses:
         """The first `size` of the members `rows`; the poses of the others mean nothing."""
         leaves = ensemble.leaves(rows)
         start = jax.tree.map(np.asarray, self.before(ensemble.starts[rows], ensemble.times, *leaves))
-        states = np.full((len(rows), len(start.state), ensemble.times.size), np.nan)
+        states = np.full((len(rows), len(self.trace.outputs), ensemble.times.size), np.nan)
         refusals = np.full(len(rows), "", object)
         early = (start.ends <= start.begins[:, None]).sum(axis=1)
-        kinds, kind = np.unique(np.column_stack([early, start.steady, start.choices])[:size], axis=0, return_inverse=True)
+        kinds, kind = np.unique(
+            np.column_stack([early, start.steady, start.choices])[:size], axis=0, return_inverse=True
+        )
         for number, row in enumerate(kinds):
             members = np.flatnonzero(kind.reshape(-1) == number)
             integrator = self._integrator(start, members[0], accuracy)
@@ -196,15 +202,15 @@ class _Program:
             refusals[members[~finished]] = "its Taylor series does not reach the end of the run"
         poses = np.asarray(self.observed(states, *leaves))
         refusals[(refusals == "") & ~np.isfinite(poses).all(axis=(1, 2))] = "its pose is not finite"
-        return Series(poses, refusals.astype(str))
+        return Poses(poses, refusals.astype(str))
 
     def _integrator(self, start: _Start, member: int, accuracy: Accuracy) -> "_Integrator | str":
         """The integrator for the branches that `member` takes, or why there is none."""
         if not start.steady[member].all():
             which = int(np.searchsorted(np.cumsum(self.sizes), np.flatnonzero(~start.steady[member])[0], side="right"))
             return str(self.decisions[which].refused("its rates take another branch in the course of the run"))
-        constant = [trace_level == Level.CONSTANT for trace_level in map(self.trace.levels.get, self.residuals)]
-        constants = {k: v for k, v, known in zip(self.residuals, start.residuals, constant, strict=True) if known}
+        known = zip(self.residuals, start.residuals, self.alike, strict=True)
+        constants = {k: value for k, value, alike in known if alike}
         choices = start.choices[member]
         tolerance = TOLERANCE * min(accuracy.rtol, 100 * accuracy.atol)
         key = (tolerance, choices.tobytes(), *(value.tobytes() for value in constants.values()))
@@ -213,7 +219,8 @@ class _Program:
             shapes = [self.trace.shapes[op.takes[0]] for op in self.decisions]
             parts = np.split(choices, np.cumsum(self.sizes)[:-1]) if self.sizes else []
             try:
-                system = equations(self.trace, constants, [p.reshape(s) for p, s in zip(parts, shapes, strict=True)])
+                branches = [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
+                system = equations(self.trace, constants, branches)
             except NoTaylorSeries as why:
                 return str(why)
             numbers = {quantity: place for place, quantity in enumerate(self.residuals)}
@@ -229,12 +236,10 @@ class _Integrator:
         import heyoka as hy
 
         self.batch, self.parameters = hy.recommended_simd_size(), parameters
-        zeros = np.zeros((len(system), self.batch))
-        order = np.ceil(1 - np.log(tolerance) / 2)
-        compact = len(hy.var_ode_sys(system, hy.var_args.vars).sys) * order > STRAIGHT_LINE
-        self.original = hy.taylor_adaptive_batch(system, zeros, tol=tolerance, compact_mode=bool(compact), force_avx512=True)
-        self.done = hy.taylor_outcome.time_limit
-        self.limits = (hy.taylor_outcome.step_limit, hy.taylor_outcome.err_nf_state)
+        how = {"tol": tolerance, "force_avx512": True, "fast_math": bool(FAST)}
+        self.original = hy.taylor_adaptive_batch(system, np.zeros((len(system), self.batch)), **how)
+        self.done = int(hy.taylor_outcome.time_limit)
+        self.failures = [int(hy.taylor_outcome.step_limit), int(hy.taylor_outcome.err_nf_state)]
         self.free: queue.SimpleQueue = queue.SimpleQueue()
 
     def states(
@@ -244,40 +249,49 @@ class _Integrator:
 
         Returns which members reached the end.
         """
-        states[members, :, :early] = np.stack([part[members] for part in start.state], axis=1)[..., None]
-        finished = np.ones(len(members), bool)
+        at_start = np.stack(start.state, axis=1)
+        states[members, :, :early] = at_start[members, :, None]
         if early == states.shape[2]:
-            return finished
+            return np.ones(len(members), bool)
+        parameters = [start.residuals[k].reshape(len(at_start), -1)[:, element] for k, element in self.parameters]
+        table = _Table(at_start, np.array(parameters).reshape(-1, len(at_start)), start.begins, start.ends.T)
         try:
             integrator = self.free.get_nowait()
         except queue.Empty:
             integrator = copy.copy(self.original)
-        waiting = list(range(len(members)))
-        while waiting:
-            batch, waiting = waiting[: self.batch], waiting[self.batch :]
-            rows = members[np.resize(batch, self.batch)]
-            reached = self._propagated(integrator, start, rows, early, max_steps)
-            for lane, one in enumerate(batch):
-                outcome = integrator.propagate_res[lane][0]
-                if outcome == self.done:
-                    states[members[one], :, early:] = reached[..., lane].T
-                elif outcome in self.limits:
-                    finished[one] = False
-                else:  # Another member of the batch failed and stopped all.
-                    waiting.append(one)
+        finished = self._propagated(integrator, table, members, max_steps, states[:, :, early:])
         self.free.put(integrator)
         return finished
 
-    def _propagated(self, integrator: Any, start: _Start, rows: np.ndarray, early: int, max_steps: int) -> np.ndarray:
-        """The states (n - early, states, batch) of the members `rows`."""
-        integrator.set_time(start.begins[rows])
-        for k, part in enumerate(start.state):
-            integrator.state[k] = part[rows]
-        for k, (residual, element) in enumerate(self.parameters):
-            integrator.pars[k] = start.residuals[residual].reshape(len(start.begins), -1)[rows, element]
-        ends = start.ends[rows].T
-        if len(ends) == early + 1:
-            integrator.propagate_until(ends[-1], max_steps=max_steps)
-            return integrator.state[None].copy()
-        grid = np.concatenate([start.begins[rows][None], ends[early:]])
-        return integrator.propagate_grid(grid, max_steps=max_steps)[-1][1:]
+    def _propagated(
+        self, integrator: Any, table: "_Table", members: np.ndarray, max_steps: int, states: np.ndarray
+    ) -> Bool[np.ndarray, " m"]:
+        finished, waiting = np.ones(len(members), bool), np.arange(len(members))
+        while waiting.size:
+            batch, waiting = waiting[: self.batch], waiting[self.batch :]
+            rows = members[np.resize(batch, self.batch)]
+            integrator.state[:], integrator.pars[:] = table.states[rows].T, table.parameters[:, rows]
+            integrator.set_time(table.begins[rows])
+            if states.shape[2] == 1:
+                integrator.propagate_until(table.ends[-1, rows], max_steps=max_steps)
+                reached = integrator.state[None]
+            else:
+                grid = np.concatenate([table.begins[rows][None], table.ends[-states.shape[2] :, rows]])
+                reached = integrator.propagate_grid(grid, max_steps=max_steps)[-1][1:]
+            outcomes = np.array([int(result[0]) for result in integrator.propagate_res[: len(batch)]])
+            done, failed = outcomes == self.done, (outcomes == self.failures[0]) | (outcomes == self.failures[1])
+            failed |= not (done | failed).any()
+            states[members[batch[done]]] = reached[..., : len(batch)].transpose(2, 1, 0)[done]
+            finished[batch[failed]] = False
+            # A member whose state is not finite stops all of its batch: the others start again without it.
+            waiting = np.concatenate([batch[~(done | failed)], waiting])
+        return finished
+
+
+class _Table(NamedTuple):
+    """State (V, s) at the start, parameters (p, V), first time (V,) [s] and times (n, V) [s] of members."""
+
+    states: np.ndarray
+    parameters: np.ndarray
+    begins: np.ndarray
+    ends: np.ndarray

@@ -18,6 +18,7 @@ import numpy as np
 from jax.extend.source_info_util import summarize
 
 from snakejax.core.fast_math import ARCTAN, SINE_COSINE, arctan, sine_cosine
+from snakejax.dynamics.contact import SLIP_ANGLE, slip_angle
 
 
 class NoTaylorSeries(ValueError):
@@ -46,7 +47,7 @@ class Operation(NamedTuple):
 _CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr"}
 _CALLS |= {"custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr", "custom_vjp_call_jaxpr": "fun_jaxpr"}
 """Primitives that call a function, and the parameter that holds it; the function is inlined."""
-_OWN = {SINE_COSINE: sine_cosine, ARCTAN: arctan}
+_OWN = {SINE_COSINE: sine_cosine, ARCTAN: arctan, SLIP_ANGLE: slip_angle}
 """Functions of the package that are operations of their own."""
 _CHOICES = {
     "select_n": lambda which, *cases: which.astype(int),
@@ -199,10 +200,11 @@ def equations(trace: Trace, constants: Mapping[int, np.ndarray], choices: Sequen
         return values[number]
 
     chosen = {op.gives[0]: np.asarray(w) for op, w in zip(trace.decisions(), choices, strict=True)}
+    known_sines: dict[Any, tuple[Any, Any]] = {}
     for operation in trace.needed(chosen):
         which = chosen.get(operation.gives[0])
         if which is None:
-            results = _smooth(hy, operation, [value(k) for k in operation.takes])
+            results = _smooth(hy, operation, [value(k) for k in operation.takes], known_sines)
         else:
             results = [_branch(operation, which, value)]
         values |= dict(zip(operation.gives, results, strict=True))
@@ -248,20 +250,41 @@ _ELEMENTWISE: dict[str, Callable] = {
     "logistic": lambda hy, a: hy.sigmoid(a),
     "pow": lambda hy, a, b: a**b,
     ARCTAN: lambda hy, a: hy.atan(a),
+    SLIP_ANGLE: lambda hy, lateral, rolling, creep: hy.atan(lateral / hy.sqrt(rolling**2 + creep**2)),
     **{
         name: lambda hy, *arguments, name=name: getattr(hy, name)(*arguments)
-        for name in "sin cos tan asin acos atan atan2 sinh cosh tanh asinh acosh atanh exp expm1 log log1p sqrt erf".split()
+        for name in [
+            "sin",
+            "cos",
+            "tan",
+            "asin",
+            "acos",
+            "atan",
+            "atan2",
+            "sinh",
+            "cosh",
+            "tanh",
+            "asinh",
+            "acosh",
+            "atanh",
+            "exp",
+            "expm1",
+            "log",
+            "log1p",
+            "sqrt",
+            "erf",
+        ]
     },
     **dict.fromkeys(("copy", "copy_p", "convert_element_type", "reduce_precision"), lambda hy, a: a),
 }
 _REARRANGING = {"broadcast_in_dim", "reshape", "squeeze", "expand_dims", "slice", "transpose", "rev", "concatenate"}
 
 
-def _smooth(hy: Any, operation: Operation, given: list[np.ndarray]) -> list[np.ndarray]:
+def _smooth(hy: Any, operation: Operation, given: list[np.ndarray], known_sines: dict) -> list[np.ndarray]:
     """The results of an operation without branches."""
     name, params = operation.name, operation.equation.params
     if name == SINE_COSINE:
-        return [_mapped(hy.sin, given), _mapped(hy.cos, given)]
+        return [_mapped(lambda x, k=k: _sine_cosine(hy, x, known_sines)[k], given) for k in (0, 1)]
     if name == "integer_pow":
         power = abs(params["y"])
         return [_mapped((lambda a: 1.0 / a**power) if params["y"] < 0 else (lambda a: a**power), given)]
@@ -277,6 +300,14 @@ def _smooth(hy: Any, operation: Operation, given: list[np.ndarray]) -> list[np.n
     if name in _CHOICES:
         raise operation.refused("its rates have a branch on the state, which no Taylor series crosses")
     raise operation.refused("no Taylor series is known for an operation of its rates")
+
+
+def _sine_cosine(hy: Any, x: Any, known: dict) -> tuple[Any, Any]:
+    """sin x and cos x; those of -x, which the other wheelset needs, follow without a series of their own."""
+    if x not in known:
+        sine, cosine = hy.sin(x), hy.cos(x)
+        known |= {x: (sine, cosine), -x: (-sine, cosine)}
+    return known[x]
 
 
 def _mapped(function: Callable, given: Sequence[np.ndarray]) -> np.ndarray:
