@@ -180,7 +180,7 @@ def evaluate(
     axes: Axes,
     how: SweepOptions,
 ) -> dict[str, np.ndarray]:
-    """Apply `work(model, gait, times, start, engine, columns)` to all members of `axes`; each sweep has its own folder."""
+    """Apply `work(model, gait, times, start, engine, columns)` to all members; each sweep has a folder of its own."""
     # NumPy arrays can be sent to a process in which JAX has not been imported.
     arguments = (model, gait, np.asarray(times, np.float64), how.get("start", (0.0, 0.0, 0.0)))
     arguments = jax.tree.map(np.asarray, arguments)

@@ -7,6 +7,7 @@ coefficients are sums and products.
 
 import copy
 import importlib.metadata
+import math
 import queue
 import threading
 from collections.abc import Callable, Sequence
@@ -30,12 +31,8 @@ SHARE = 256
 INSTANTS = 129
 """Times of the run at which a branch on time must be the same. A shorter exception goes unnoticed, as it may between
 the stages of a Runge-Kutta step."""
-TOLERANCE = 3.0
-"""Tolerance of the series for one unit of `Accuracy.rtol`: the error is then below that of the Runge-Kutta method."""
-STRAIGHT_LINE = 20_000
-"""Quantities times order up to which the program is one straight line, a few times faster than loops; a longer one
-would take seconds to compile."""
-FAST = 1
+ORDERS = (9, 12, 16, 20)
+"""Orders of the series: the least that the accuracy needs, and a higher one for a member whose steps are too short."""
 PROGRAMS = 16
 """Compiled programs that are kept."""
 
@@ -84,6 +81,16 @@ class Poses(NamedTuple):
 
     poses: Float[np.ndarray, "V n 3"]
     refusals: np.ndarray
+
+
+def orders(accuracy: Accuracy) -> list[int]:
+    """The order of the series, 1 - ln(tolerance) / 2 (Jorba and Zou 2005), and those above it, to be tried in turn.
+
+    At three times the tolerance of the Runge-Kutta method the error is at most that of the latter.
+    """
+    first = math.ceil(1 - math.log(3 * min(accuracy.rtol, 100 * accuracy.atol)) / 2)
+    first = min(max(first, ORDERS[0]), ORDERS[-1])
+    return [first, *(order for order in ORDERS if order > first)]
 
 
 def heyoka_version() -> str | None:
@@ -170,7 +177,7 @@ class _Program:
             )(at)
             state = jax.tree.leaves(model.start((start[0], start[1], start[2])))
             residuals = list(trace.evaluated(self.residuals, None, leaves).values())
-            return _Start(begins, ends, state, residuals, choices[0], (choices == choices[0]).all(axis=0))
+            return _Start(begins, ends, state, residuals, choices[0], (choices == choices[:1]).all(axis=0))
 
         shared = [None if alike else 0 for alike in self.alike]
         self.before = jax.jit(jax.vmap(before, (0, None, *axes), _Start(0, 0, 0, shared, 0, 0)))
@@ -194,26 +201,31 @@ class _Program:
         )
         for number, row in enumerate(kinds):
             members = np.flatnonzero(kind.reshape(-1) == number)
-            integrator = self._integrator(start, members[0], accuracy)
-            if isinstance(integrator, str):
-                refusals[members] = integrator
-                continue
-            finished = integrator.states(start, members, int(row[0]), accuracy.max_steps, states)
-            refusals[members[~finished]] = "its Taylor series does not reach the end of the run"
+            for order in orders(accuracy):
+                integrator = self._integrator(start, members[0], order)
+                if isinstance(integrator, str):
+                    refusals[members] = integrator
+                    break
+                finished, shortest = integrator.states(start, members, int(row[0]), accuracy.max_steps, states)
+                refusals[members] = np.where(finished, "", "its Taylor series does not reach the end of the run")
+                # A step may leap over a singularity of the series at a distance of exp(-order) seconds.
+                members = members[finished & (shortest < np.exp(-order))]
+                if not members.size:
+                    break
+                refusals[members] = "its Taylor series converge on too short steps"
         poses = np.asarray(self.observed(states, *leaves))
         refusals[(refusals == "") & ~np.isfinite(poses).all(axis=(1, 2))] = "its pose is not finite"
         return Poses(poses, refusals.astype(str))
 
-    def _integrator(self, start: _Start, member: int, accuracy: Accuracy) -> "_Integrator | str":
-        """The integrator for the branches that `member` takes, or why there is none."""
+    def _integrator(self, start: _Start, member: int, order: int) -> "_Integrator | str":
+        """The integrator of `order` for the branches that `member` takes, or why there is none."""
         if not start.steady[member].all():
             which = int(np.searchsorted(np.cumsum(self.sizes), np.flatnonzero(~start.steady[member])[0], side="right"))
             return str(self.decisions[which].refused("its rates take another branch in the course of the run"))
         known = zip(self.residuals, start.residuals, self.alike, strict=True)
         constants = {k: value for k, value, alike in known if alike}
         choices = start.choices[member]
-        tolerance = TOLERANCE * min(accuracy.rtol, 100 * accuracy.atol)
-        key = (tolerance, choices.tobytes(), *(value.tobytes() for value in constants.values()))
+        key = (order, choices.tobytes(), *(value.tobytes() for value in constants.values()))
 
         def make() -> "_Integrator | str":
             shapes = [self.trace.shapes[op.takes[0]] for op in self.decisions]
@@ -224,19 +236,24 @@ class _Program:
             except NoTaylorSeries as why:
                 return str(why)
             numbers = {quantity: place for place, quantity in enumerate(self.residuals)}
-            return _Integrator(system.system, [(numbers[k], e) for k, e in system.parameters], tolerance)
+            return _Integrator(system.system, [(numbers[k], e) for k, e in system.parameters], order)
 
         return _kept(self.integrators, key, make)
+
+
+def _row(parts: Sequence[Any]) -> Any:
+    return jnp.concatenate([jnp.zeros(0, int), *map(jnp.ravel, parts)])
 
 
 class _Integrator:
     """A compiled integrator of a batch of members; each thread runs a copy."""
 
-    def __init__(self, system: list, parameters: list[tuple[int, int]], tolerance: float) -> None:
+    def __init__(self, system: list, parameters: list[tuple[int, int]], order: int) -> None:
         import heyoka as hy
 
         self.batch, self.parameters = hy.recommended_simd_size(), parameters
-        how = {"tol": tolerance, "force_avx512": True, "fast_math": bool(FAST)}
+        # heyoka derives the order from the tolerance, and the step from the order and the coefficients.
+        how = {"tol": math.exp(3 - 2 * order), "force_avx512": True, "fast_math": True}
         self.original = hy.taylor_adaptive_batch(system, np.zeros((len(system), self.batch)), **how)
         self.done = int(hy.taylor_outcome.time_limit)
         self.failures = [int(hy.taylor_outcome.step_limit), int(hy.taylor_outcome.err_nf_state)]
@@ -244,28 +261,29 @@ class _Integrator:
 
     def states(
         self, start: _Start, members: np.ndarray, early: int, max_steps: int, states: np.ndarray
-    ) -> Bool[np.ndarray, " m"]:
+    ) -> tuple[Bool[np.ndarray, " m"], Float[np.ndarray, " m"]]:
         """Write the states of `members` at their times, from number `early` on after their start, into `states`.
 
-        Returns which members reached the end.
+        Returns which members reached the end, and the shortest step [s] of each.
         """
         at_start = np.stack(start.state, axis=1)
         states[members, :, :early] = at_start[members, :, None]
         if early == states.shape[2]:
-            return np.ones(len(members), bool)
+            return np.ones(len(members), bool), np.full(len(members), np.inf)
         parameters = [start.residuals[k].reshape(len(at_start), -1)[:, element] for k, element in self.parameters]
         table = _Table(at_start, np.array(parameters).reshape(-1, len(at_start)), start.begins, start.ends.T)
         try:
             integrator = self.free.get_nowait()
         except queue.Empty:
             integrator = copy.copy(self.original)
-        finished = self._propagated(integrator, table, members, max_steps, states[:, :, early:])
+        results = self._propagated(integrator, table, members, max_steps, states[:, :, early:])
         self.free.put(integrator)
-        return finished
+        return results
 
     def _propagated(
         self, integrator: Any, table: "_Table", members: np.ndarray, max_steps: int, states: np.ndarray
-    ) -> Bool[np.ndarray, " m"]:
+    ) -> tuple[Bool[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+        shortest = np.full(len(members), np.inf)
         finished, waiting = np.ones(len(members), bool), np.arange(len(members))
         while waiting.size:
             batch, waiting = waiting[: self.batch], waiting[self.batch :]
@@ -278,14 +296,16 @@ class _Integrator:
             else:
                 grid = np.concatenate([table.begins[rows][None], table.ends[-states.shape[2] :, rows]])
                 reached = integrator.propagate_grid(grid, max_steps=max_steps)[-1][1:]
-            outcomes = np.array([int(result[0]) for result in integrator.propagate_res[: len(batch)]])
+            results = integrator.propagate_res[: len(batch)]
+            outcomes = np.array([int(outcome) for outcome, *_ in results])
+            shortest[batch] = [step for _, step, *_ in results]
             done, failed = outcomes == self.done, (outcomes == self.failures[0]) | (outcomes == self.failures[1])
             failed |= not (done | failed).any()
             states[members[batch[done]]] = reached[..., : len(batch)].transpose(2, 1, 0)[done]
             finished[batch[failed]] = False
             # A member whose state is not finite stops all of its batch: the others start again without it.
             waiting = np.concatenate([batch[~(done | failed)], waiting])
-        return finished
+        return finished, shortest
 
 
 class _Table(NamedTuple):

@@ -32,16 +32,22 @@ class Level(enum.IntEnum):
 
 
 class Operation(NamedTuple):
-    """One operation of a trace, and the numbers of the quantities that it takes and gives."""
+    """One operation of a trace, and the numbers of the quantities that it takes and gives.
+
+    `sources` are the places in the code of the functions that call it, the innermost last.
+    """
 
     name: str
     equation: jex.JaxprEqn
     takes: tuple[int, ...]
     gives: tuple[int, ...]
+    sources: tuple[Any, ...]
 
     def refused(self, what: str) -> NoTaylorSeries:
-        """The error for this operation."""
-        return NoTaylorSeries(f"{what} ({self.name} at {summarize(self.equation.source_info)})")
+        """The error for this operation, with the line of the code."""
+        lines = [line for line in map(summarize, self.sources) if line]
+        place = lines[-1].rsplit("/", 1)[-1] if lines else "an unknown line"
+        return NoTaylorSeries(f"{what}: `{self.name}` at {place}")
 
 
 _CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr"}
@@ -87,7 +93,7 @@ class Trace:
         self.shapes[number] = self.constants[number].shape
         return number
 
-    def _inlined(self, closed: jex.ClosedJaxpr, arguments: Sequence[int]) -> list[int]:
+    def _inlined(self, closed: jex.ClosedJaxpr, arguments: Sequence[int], sources: tuple[Any, ...] = ()) -> list[int]:
         """Append the operations of `closed`; the numbers of its results."""
         jaxpr = closed.jaxpr
         numbers = dict(zip(jaxpr.invars, arguments, strict=True))
@@ -98,13 +104,13 @@ class Trace:
 
         for equation in jaxpr.eqns:
             takes, primitive = [number(atom) for atom in equation.invars], equation.primitive.name
-            own = equation.params.get("name")
+            own, called_by = equation.params.get("name"), (*sources, equation.source_info)
             if primitive in _CALLS and own not in _OWN:
-                gives = self._inlined(equation.params[_CALLS[primitive]], takes)
+                gives = self._inlined(equation.params[_CALLS[primitive]], takes, called_by)
             else:
                 gives = [next(self._count) for _ in equation.outvars]
                 name = own if own in _OWN else primitive
-                self.operations.append(Operation(name, equation, tuple(takes), tuple(gives)))
+                self.operations.append(Operation(name, equation, tuple(takes), tuple(gives), called_by))
                 level = max((self.levels[k] for k in takes), default=Level.CONSTANT)
                 self.levels |= dict.fromkeys(gives, level)
                 self.shapes |= {k: tuple(var.aval.shape) for k, var in zip(gives, equation.outvars, strict=True)}
@@ -237,6 +243,9 @@ def _branch(operation: Operation, which: np.ndarray, value: Callable[[int], np.n
     return result
 
 
+_FUNCTIONS = ("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh")
+_FUNCTIONS += ("exp", "expm1", "log", "log1p", "sqrt", "erf")
+"""Functions that have the same name in JAX and in heyoka."""
 _ELEMENTWISE: dict[str, Callable] = {
     "add": lambda hy, a, b: a + b,
     "add_any": lambda hy, a, b: a + b,
@@ -245,37 +254,16 @@ _ELEMENTWISE: dict[str, Callable] = {
     "div": lambda hy, a, b: a / b,
     "neg": lambda hy, a: -a,
     "square": lambda hy, a: a * a,
+    "pow": lambda hy, a, b: a**b,
     "rsqrt": lambda hy, a: 1.0 / hy.sqrt(a),
     "exp2": lambda hy, a: hy.exp(float(np.log(2.0)) * a),
     "logistic": lambda hy, a: hy.sigmoid(a),
-    "pow": lambda hy, a, b: a**b,
+    "copy": lambda hy, a: a,
+    "copy_p": lambda hy, a: a,
+    "convert_element_type": lambda hy, a: a,
     ARCTAN: lambda hy, a: hy.atan(a),
     SLIP_ANGLE: lambda hy, lateral, rolling, creep: hy.atan(lateral / hy.sqrt(rolling**2 + creep**2)),
-    **{
-        name: lambda hy, *arguments, name=name: getattr(hy, name)(*arguments)
-        for name in [
-            "sin",
-            "cos",
-            "tan",
-            "asin",
-            "acos",
-            "atan",
-            "atan2",
-            "sinh",
-            "cosh",
-            "tanh",
-            "asinh",
-            "acosh",
-            "atanh",
-            "exp",
-            "expm1",
-            "log",
-            "log1p",
-            "sqrt",
-            "erf",
-        ]
-    },
-    **dict.fromkeys(("copy", "copy_p", "convert_element_type", "reduce_precision"), lambda hy, a: a),
+    **{name: lambda hy, *given, name=name: getattr(hy, name)(*given) for name in _FUNCTIONS},
 }
 _REARRANGING = {"broadcast_in_dim", "reshape", "squeeze", "expand_dims", "slice", "transpose", "rev", "concatenate"}
 
@@ -298,8 +286,8 @@ def _smooth(hy: Any, operation: Operation, given: list[np.ndarray], known_sines:
         order = np.asarray(operation.equation.primitive.bind(*map(jnp.asarray, numbers), **params))
         return [np.concatenate([part.ravel() for part in given])[order.ravel()].reshape(order.shape)]
     if name in _CHOICES:
-        raise operation.refused("its rates have a branch on the state, which no Taylor series crosses")
-    raise operation.refused("no Taylor series is known for an operation of its rates")
+        raise operation.refused("its rates have a branch on the state")
+    raise operation.refused("its rates have an operation without a known Taylor series")
 
 
 def _sine_cosine(hy: Any, x: Any, known: dict) -> tuple[Any, Any]:
