@@ -1,4 +1,4 @@
-"""Simulated boards a second: our ensembles against SIMD C, diffrax by vmap, and scipy's LSODA with numba.
+"""Simulated boards a second: our two engines against SIMD C, diffrax by vmap, and scipy's LSODA with numba.
 
     python benchmarks/throughput.py [REPEATS]
 
@@ -32,8 +32,23 @@ import numba  # noqa: E402
 import numpy as np  # noqa: E402
 from scipy.integrate import odeint, solve_ivp  # noqa: E402
 
-from snakejax import Accuracy, Board, Gait, Model, Pacejka, Sines, Tracked, simulate, simulate_many, stacked  # noqa: E402
+from snakejax import (  # noqa: E402
+    Accuracy,
+    Board,
+    Gait,
+    Model,
+    Pacejka,
+    Rayleigh,
+    Sines,
+    Tracked,
+    preset,
+    simulate,
+    simulate_many,
+    stacked,
+    sweep,
+)
 from snakejax.core.parameter import with_parameters  # noqa: E402
+from snakejax.simulation.ensemble import Engine  # noqa: E402
 
 USUAL = dict(
     mass=7.0, inertia=0.4375, rotor=0.0238, length=0.25, creep=1e-3, B=0.09, C=1.8, D=1.0, E=0.6,
@@ -96,12 +111,12 @@ def simd(n: Numbers) -> Callable[[float], np.ndarray]:
     return run
 
 
-def lanes(n: Numbers, workers: int) -> Callable[[float], np.ndarray]:
+def lanes(n: Numbers, workers: int, engine: Engine = "tsit5") -> Callable[[float], np.ndarray]:
     models, gaits, start = as_lanes(n)
 
     def run(rtol: float) -> np.ndarray:
         accuracy = Accuracy(rtol=rtol, atol=rtol / 100, max_steps=10**6)
-        how = dict(own_gaits=True, accuracy=accuracy, workers=workers)
+        how = dict(own_gaits=True, accuracy=accuracy, workers=workers, engine=engine)
         return simulate_many(models, gaits, [SECONDS], start, **how)[:, 0]
 
     return run
@@ -183,7 +198,11 @@ def by_solve_ivp(n: Numbers) -> Callable[[float], np.ndarray]:
     return _ends(n, one)
 
 
-FAST = {"C, AVX-512": simd, "lanes": lambda n: lanes(n, 1)}
+FAST = {
+    "C, AVX-512": simd,
+    "Tsit5 lanes": lambda n: lanes(n, 1),
+    "Taylor series": lambda n: lanes(n, 1, "taylor"),
+}
 
 
 def tolerance(run: Callable[[float], np.ndarray], true: np.ndarray) -> tuple[float, float]:
@@ -233,11 +252,25 @@ def compare(title: str, repeats: int, **other: float) -> None:
 def two_cores(repeats: int) -> None:
     """In a process that was never held to one core: the threads of XLA stay where their process began."""
     n = varied(16384)
-    one, two = lanes(n, 1), lanes(n, 2)
-    one(3e-6), two(3e-6)
-    taken = [(seconds(lambda: one(3e-6)), seconds(lambda: two(3e-6))) for _ in range(repeats)]
-    ratio = statistics.median(a / b for a, b in taken)
-    print(f"\nTwo cores against one, 16384 boards: {ratio:.2f} (median of {repeats})")
+    for name, engine in (("Tsit5", "tsit5"), ("Taylor series", "taylor")):
+        one, two = lanes(n, 1, engine), lanes(n, 2, engine)
+        one(3e-6), two(3e-6)
+        taken = [(seconds(lambda one=one: one(3e-6)), seconds(lambda two=two: two(3e-6))) for _ in range(repeats)]
+        ratio = statistics.median(a / b for a, b in taken)
+        print(f"\nTwo cores against one, {name}, 16384 boards: {ratio:.2f} (median of {repeats})")
+
+
+def million(repeats: int) -> None:
+    """A sweep of 10^6 viscous boards over k_s under paper-rotate, 14 s, on all cores, and the wait for the first board.
+
+    `repeats` is not used: the sweep is done once.
+    """
+    example = preset("paper-rotate")
+    model = Model(example.model.board, Rayleigh(10.0), "coupled")
+    for count in (1, 10**6):
+        over = {"tyre.k_s": np.linspace(1.0, 100.0, count)}
+        whole = seconds(lambda over=over: sweep(model, example.gait, example.times[-1:], over))
+        print(f"\nSweep of {count} boards over k_s: {whole:.1f} s")
 
 
 def cold(repeats: int) -> None:
@@ -263,7 +296,7 @@ def cold(repeats: int) -> None:
 
 if __name__ == "__main__":
     repeats = int(sys.argv[1]) if len(sys.argv) > 1 else 7
-    for part in (two_cores, cold):
+    for part in (two_cores, million, cold):
         if part.__name__ in sys.argv:
             part(repeats)
             raise SystemExit
@@ -272,5 +305,6 @@ if __name__ == "__main__":
     compare("Table II of the paper", repeats)
     compare("Tyres as of recordings", repeats, **STIFFER)
     os.sched_setaffinity(0, cores)
-    subprocess.run([sys.executable, __file__, str(repeats), "two_cores"], check=True)
+    for part in (two_cores, million):
+        subprocess.run([sys.executable, __file__, str(repeats), part.__name__], check=True)
     cold(repeats)

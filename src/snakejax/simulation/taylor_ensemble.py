@@ -86,7 +86,7 @@ class Poses(NamedTuple):
 def orders(accuracy: Accuracy) -> list[int]:
     """The order of the series, 1 - ln(tolerance) / 2 (Jorba and Zou 2005), and those above it, to be tried in turn.
 
-    At three times the tolerance of the Runge-Kutta method the error is at most that of the latter.
+    With three times the tolerance of Tsit5, the error on tyres that skid is at most that of Tsit5.
     """
     first = math.ceil(1 - math.log(3 * min(accuracy.rtol, 100 * accuracy.atol)) / 2)
     first = min(max(first, ORDERS[0]), ORDERS[-1])
