@@ -166,24 +166,19 @@ def test_a_controlled_joint_has_a_series_at_any_damping(kp, kd) -> None:
     np.testing.assert_allclose(pose, reference(model, gait, 2.0), rtol=0, atol=1e-6)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("tyre", ["recordings", "Table II"])
-def test_the_error_on_skidding_tyres_is_at_most_that_of_tsit5_at_the_same_accuracy(tyre) -> None:
-    model = board("free") if tyre == "recordings" else Model(ROTATE.model.board, ROTATE.model.tyre, "free")
-    models = [with_parameters(model, {"tyre.D": D * float(model.tyre.D)}) for D in (0.8, 1.0, 1.2)]
+WITHIN = 1e-6
+"""Error [m, rad] to which `benchmarks/throughput.py` holds every method."""
+TYRES = {"recordings": Pacejka(8.0, 1.4, 4.0, 0.1), "Table II": ROTATE.model.tyre, "viscous": Rayleigh(10.0)}
+
+
+@pytest.mark.parametrize("tyre", TYRES)
+@pytest.mark.parametrize("constraint", ["free", "coupled"])
+def test_the_error_at_the_default_accuracy_is_that_of_the_benchmark(constraint, tyre) -> None:
+    model = Model(ROTATE.model.board, TYRES[tyre], constraint)
+    models = [with_parameters(model, {"board.mass": mass}) for mass in (6.0, 7.0, 8.0)]
+    poses = simulate_many(stacked(models), ROTATE.gait, [4.0, 8.0], engine="taylor")[:, -1]
     true = np.array([reference(one, ROTATE.gait, 8.0) for one in models])
-    errors = [
-        np.abs(simulate_many(stacked(models), ROTATE.gait, [8.0], engine=engine)[:, 0] - true).max()
-        for engine in ("taylor", "tsit5")
-    ]
-    assert errors[0] <= errors[1]
-
-
-def test_the_error_on_viscous_tyres_is_below_the_tolerance() -> None:
-    models = [Model(ROTATE.model.board, Rayleigh(k_s), "free") for k_s in (1.0, 10.0, 100.0)]
-    poses = simulate_many(stacked(models), ROTATE.gait, [4.0], engine="taylor")[:, 0]
-    true = np.array([reference(model, ROTATE.gait, 4.0) for model in models])
-    np.testing.assert_allclose(poses, true, rtol=0, atol=ACCURACY.rtol)
+    np.testing.assert_allclose(poses, true, rtol=0, atol=WITHIN)
 
 
 def test_without_the_extra_everything_works_as_before(monkeypatch) -> None:
