@@ -25,6 +25,9 @@ from snakejax import (
     sweep,
 )
 from snakejax.core.parameter import own_parameters, with_parameters
+from snakejax.dynamics.law import law
+from snakejax.dynamics.sampled_signals import Held
+from snakejax.dynamics.signals import Logged
 from snakejax.effects import LIBRARY, SteeringBacklash
 from snakejax.simulation import ensemble as ensembles
 from snakejax.simulation.ensemble import ACCURACY, engine_sentence, integrated
@@ -116,6 +119,39 @@ def test_an_effect_of_a_user_has_a_series() -> None:
     poses = simulate_many(stacked(models), ROTATE.gait, [1.5, 3.0], engine="taylor")
     for model, pose in zip(models, poses, strict=True):
         np.testing.assert_allclose(pose[-1], reference(model, ROTATE.gait, 3.0), rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "formula",
+    [
+        "a * abs(time + 1)",
+        "-a * abs(time - 9)",
+        "a * sign(time - 9) * (2 + time)",
+        "a * clip(time, -1, 9)",
+        "a * clip(time, -2, -1) * time",
+    ],
+)
+def test_a_branch_on_time_that_stays_the_same_has_a_series(formula) -> None:
+    model = board("free", law=law(f"X = {formula}", {"a": "N"}, {"a": 0.1}))
+    pose = simulate_many(stacked([model]), ROTATE.gait, [2.0], engine="taylor")[0, -1]
+    np.testing.assert_allclose(pose, reference(model, ROTATE.gait, 2.0), rtol=0, atol=1e-6)
+
+
+KNOTS = np.arange(0.0, 3.0, 0.01)
+REFUSED = {
+    "logged joints": ("free", Gait(*(Logged.of(KNOTS, np.sin(KNOTS)) for _ in "ab")), {}, "signals.py"),
+    "held commands": ("free", Gait(*(Held.of(KNOTS, np.sin(KNOTS)) for _ in "ab")), {}, "sampled_signals.py"),
+    "a branch that changes": ("free", ROTATE.gait, {"law": "X = a * abs(time - 1)"}, "`abs` at formula.py"),
+    "a linear system": ("printed", ROTATE.gait, {}, "paper_constraints.py"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_has_no_series_is_refused_with_the_line(case) -> None:
+    constraint, gait, formulas, line = REFUSED[case]
+    laws = {name: law(text, {"a": "N"}, {"a": 0.1}) for name, text in formulas.items()}
+    poses, refusals = by_taylor_series(ensemble_of([board(constraint, **laws)], gait, [2.0]), ACCURACY, 1)
+    assert line in refusals[0] and not np.isfinite(poses).any()
 
 
 @pytest.mark.slow

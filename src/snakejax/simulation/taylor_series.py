@@ -230,7 +230,9 @@ def _branch(operation: Operation, which: np.ndarray, value: Callable[[int], np.n
     """The result of an operation with branches where `which` says the branch of each element."""
     if operation.name in ("abs", "sign"):
         x = value(operation.takes[0])
-        return x * (1.0 - 2.0 * which) if operation.name == "abs" else 0.0 * x + which.astype(float)
+        if operation.name == "sign":
+            return _mapped(lambda item, k: 0.0 * item + float(k), [x, which])
+        return _mapped(lambda item, k: -item if k else item, [x, which])
     if operation.name == "clamp":
         which = which + 1
     cases = operation.takes[1:] if operation.name == "select_n" else operation.takes
