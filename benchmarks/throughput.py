@@ -1,13 +1,14 @@
 """Simulated boards a second: our two engines against SIMD C, diffrax by vmap, and scipy's LSODA with numba.
 
-    python benchmarks/throughput.py [REPEATS]
+    python benchmarks/throughput.py [REPEATS] [engines | two_cores | million | cold]
 
 Boards under `free`, Pacejka tyre, tracked joints, 7.7 s. Every number of board, tyre, gait, controller and start is
 varied by 10 %: around Table II of the paper, and around the stiffer tyres of recordings. LSODA is called by `odeint`,
 which is the faster way, and by `solve_ivp`. Each method has the loosest tolerance, of a common sequence, at which the
 final positions of all boards of the table are within 1e-6 m of a reference. Needs a C compiler, AVX-512 and `pip
-install -e .[bench]`. All methods alternate in one process on one core, REPEATS times; ratios are those of medians.
-Two cores and the cold command come last.
+install -e .[bench]`. All methods alternate in one process on one core, REPEATS times. Ratios are those of medians;
+against our Tsit5 it is the median of the ratios of neighbours. Two cores, a million boards and the cold command come
+last. `engines` compares C and our engines alone. The order of the series is at least 9.
 """
 
 import ctypes
@@ -220,10 +221,10 @@ def seconds(work: Callable[[], object]) -> float:
     return time.perf_counter() - begin
 
 
-def compare(title: str, repeats: int, **other: float) -> None:
+def compare(title: str, repeats: int, peers: bool, **other: float) -> None:
     few = varied(1024, **other)
     sample = {name: column[:SAMPLE] for name, column in few.items()}
-    slow = {"diffrax, vmap": by_vmap, "LSODA, odeint": by_odeint, "LSODA, solve_ivp": by_solve_ivp}
+    slow = {"diffrax, vmap": by_vmap, "LSODA, odeint": by_odeint, "LSODA, solve_ivp": by_solve_ivp} if peers else {}
     print(f"\n{title}; one core, medians of {repeats} (least to most)")
     for count in (1024, 16384):
         n = few if count == 1024 else varied(count, **other)
@@ -238,11 +239,12 @@ def compare(title: str, repeats: int, **other: float) -> None:
             for name, (run, size) in methods.items():
                 taken[name].append(seconds(lambda run=run, name=name, to=chosen: run(to[name][0])) / size)
         each = {name: statistics.median(values) for name, values in taken.items()}
-        print(f"  {f'{count} boards':16} {'boards/s':>9} {'':>17} {'against C':>10} {'solve_ivp':>10} {'odeint':>8}"
-              f" {'rtol':>7} {'error [m]':>10}")  # fmt: skip
+        print(f"  {f'{count} boards':16} {'boards/s':>9} {'':>17} {'against C':>10} {'Tsit5':>7}"
+              f" {'solve_ivp':>10} {'odeint':>8} {'rtol':>7} {'error [m]':>10}")  # fmt: skip
         for name, median in each.items():
             low, high = 1 / max(taken[name]), 1 / min(taken[name])
-            ratios = f"{each['C, AVX-512'] / median:10.3f}"
+            pairs = zip(taken["Tsit5 lanes"], taken[name], strict=True)
+            ratios = f"{each['C, AVX-512'] / median:10.3f} {statistics.median(a / b for a, b in pairs):7.2f}"
             for peer, width in (("LSODA, solve_ivp", 10), ("LSODA, odeint", 8)):
                 ratios += f" {each[peer] / median:{width}.1f}" if peer in each else " " * (width + 1)
             print(f"  {name:16} {1 / median:9.0f} {f'({low:.0f} to {high:.0f})':>17} {ratios} {chosen[name][0]:7g}"
@@ -302,8 +304,11 @@ if __name__ == "__main__":
             raise SystemExit
     cores = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(cores)})
-    compare("Table II of the paper", repeats)
-    compare("Tyres as of recordings", repeats, **STIFFER)
+    peers = "engines" not in sys.argv
+    compare("Table II of the paper", repeats, peers)
+    compare("Tyres as of recordings", repeats, peers, **STIFFER)
+    if not peers:
+        raise SystemExit
     os.sched_setaffinity(0, cores)
     for part in (two_cores, million):
         subprocess.run([sys.executable, __file__, str(repeats), part.__name__], check=True)
