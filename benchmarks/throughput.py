@@ -1,13 +1,14 @@
-"""Simulated boards a second: our ensembles against SIMD C, diffrax by vmap, and scipy's LSODA with numba.
+"""Simulated boards a second: our two engines against SIMD C, diffrax by vmap, and scipy's LSODA with numba.
 
-    python benchmarks/throughput.py [REPEATS]
+    python benchmarks/throughput.py [REPEATS] [engines | two_cores | million | cold]
 
 Boards under `free`, Pacejka tyre, tracked joints, 7.7 s. Every number of board, tyre, gait, controller and start is
 varied by 10 %: around Table II of the paper, and around the stiffer tyres of recordings. LSODA is called by `odeint`,
 which is the faster way, and by `solve_ivp`. Each method has the loosest tolerance, of a common sequence, at which the
 final positions of all boards of the table are within 1e-6 m of a reference. Needs a C compiler, AVX-512 and `pip
-install -e .[bench]`. All methods alternate in one process on one core, REPEATS times; ratios are those of medians.
-Two cores and the cold command come last.
+install -e .[bench]`. All methods alternate in one process on one core, REPEATS times. Ratios are those of medians;
+against our Tsit5 it is the median of the ratios of neighbours. Two cores, a million boards and the cold command come
+last. `engines` compares C and our engines alone. The order of the series is at least 9.
 """
 
 import ctypes
@@ -32,8 +33,23 @@ import numba  # noqa: E402
 import numpy as np  # noqa: E402
 from scipy.integrate import odeint, solve_ivp  # noqa: E402
 
-from snakejax import Accuracy, Board, Gait, Model, Pacejka, Sines, Tracked, simulate, simulate_many, stacked  # noqa: E402
+from snakejax import (  # noqa: E402
+    Accuracy,
+    Board,
+    Gait,
+    Model,
+    Pacejka,
+    Rayleigh,
+    Sines,
+    Tracked,
+    preset,
+    simulate,
+    simulate_many,
+    stacked,
+    sweep,
+)
 from snakejax.core.parameter import with_parameters  # noqa: E402
+from snakejax.simulation.ensemble import Engine  # noqa: E402
 
 USUAL = dict(
     mass=7.0, inertia=0.4375, rotor=0.0238, length=0.25, creep=1e-3, B=0.09, C=1.8, D=1.0, E=0.6,
@@ -96,12 +112,12 @@ def simd(n: Numbers) -> Callable[[float], np.ndarray]:
     return run
 
 
-def lanes(n: Numbers, workers: int) -> Callable[[float], np.ndarray]:
+def lanes(n: Numbers, workers: int, engine: Engine = "tsit5") -> Callable[[float], np.ndarray]:
     models, gaits, start = as_lanes(n)
 
     def run(rtol: float) -> np.ndarray:
         accuracy = Accuracy(rtol=rtol, atol=rtol / 100, max_steps=10**6)
-        how = dict(own_gaits=True, accuracy=accuracy, workers=workers)
+        how = dict(own_gaits=True, accuracy=accuracy, workers=workers, engine=engine)
         return simulate_many(models, gaits, [SECONDS], start, **how)[:, 0]
 
     return run
@@ -183,7 +199,11 @@ def by_solve_ivp(n: Numbers) -> Callable[[float], np.ndarray]:
     return _ends(n, one)
 
 
-FAST = {"C, AVX-512": simd, "lanes": lambda n: lanes(n, 1)}
+FAST = {
+    "C, AVX-512": simd,
+    "Tsit5 lanes": lambda n: lanes(n, 1),
+    "Taylor series": lambda n: lanes(n, 1, "taylor"),
+}
 
 
 def tolerance(run: Callable[[float], np.ndarray], true: np.ndarray) -> tuple[float, float]:
@@ -201,10 +221,10 @@ def seconds(work: Callable[[], object]) -> float:
     return time.perf_counter() - begin
 
 
-def compare(title: str, repeats: int, **other: float) -> None:
+def compare(title: str, repeats: int, peers: bool, **other: float) -> None:
     few = varied(1024, **other)
     sample = {name: column[:SAMPLE] for name, column in few.items()}
-    slow = {"diffrax, vmap": by_vmap, "LSODA, odeint": by_odeint, "LSODA, solve_ivp": by_solve_ivp}
+    slow = {"diffrax, vmap": by_vmap, "LSODA, odeint": by_odeint, "LSODA, solve_ivp": by_solve_ivp} if peers else {}
     print(f"\n{title}; one core, medians of {repeats} (least to most)")
     for count in (1024, 16384):
         n = few if count == 1024 else varied(count, **other)
@@ -219,11 +239,12 @@ def compare(title: str, repeats: int, **other: float) -> None:
             for name, (run, size) in methods.items():
                 taken[name].append(seconds(lambda run=run, name=name, to=chosen: run(to[name][0])) / size)
         each = {name: statistics.median(values) for name, values in taken.items()}
-        print(f"  {f'{count} boards':16} {'boards/s':>9} {'':>17} {'against C':>10} {'solve_ivp':>10} {'odeint':>8}"
-              f" {'rtol':>7} {'error [m]':>10}")  # fmt: skip
+        print(f"  {f'{count} boards':16} {'boards/s':>9} {'':>17} {'against C':>10} {'Tsit5':>7}"
+              f" {'solve_ivp':>10} {'odeint':>8} {'rtol':>7} {'error [m]':>10}")  # fmt: skip
         for name, median in each.items():
             low, high = 1 / max(taken[name]), 1 / min(taken[name])
-            ratios = f"{each['C, AVX-512'] / median:10.3f}"
+            pairs = zip(taken["Tsit5 lanes"], taken[name], strict=True)
+            ratios = f"{each['C, AVX-512'] / median:10.3f} {statistics.median(a / b for a, b in pairs):7.2f}"
             for peer, width in (("LSODA, solve_ivp", 10), ("LSODA, odeint", 8)):
                 ratios += f" {each[peer] / median:{width}.1f}" if peer in each else " " * (width + 1)
             print(f"  {name:16} {1 / median:9.0f} {f'({low:.0f} to {high:.0f})':>17} {ratios} {chosen[name][0]:7g}"
@@ -233,11 +254,25 @@ def compare(title: str, repeats: int, **other: float) -> None:
 def two_cores(repeats: int) -> None:
     """In a process that was never held to one core: the threads of XLA stay where their process began."""
     n = varied(16384)
-    one, two = lanes(n, 1), lanes(n, 2)
-    one(3e-6), two(3e-6)
-    taken = [(seconds(lambda: one(3e-6)), seconds(lambda: two(3e-6))) for _ in range(repeats)]
-    ratio = statistics.median(a / b for a, b in taken)
-    print(f"\nTwo cores against one, 16384 boards: {ratio:.2f} (median of {repeats})")
+    for name, engine in (("Tsit5", "tsit5"), ("Taylor series", "taylor")):
+        one, two = lanes(n, 1, engine), lanes(n, 2, engine)
+        one(3e-6), two(3e-6)
+        taken = [(seconds(lambda one=one: one(3e-6)), seconds(lambda two=two: two(3e-6))) for _ in range(repeats)]
+        ratio = statistics.median(a / b for a, b in taken)
+        print(f"\nTwo cores against one, {name}, 16384 boards: {ratio:.2f} (median of {repeats})")
+
+
+def million(repeats: int) -> None:
+    """A sweep of 10^6 viscous boards over k_s under paper-rotate, 14 s, on all cores, and the wait for the first board.
+
+    `repeats` is not used: the sweep is done once.
+    """
+    example = preset("paper-rotate")
+    model = Model(example.model.board, Rayleigh(10.0), "coupled")
+    for count in (1, 10**6):
+        over = {"tyre.k_s": np.linspace(1.0, 100.0, count)}
+        whole = seconds(lambda over=over: sweep(model, example.gait, example.times[-1:], over))
+        print(f"\nSweep of {count} boards over k_s: {whole:.1f} s")
 
 
 def cold(repeats: int) -> None:
@@ -263,14 +298,18 @@ def cold(repeats: int) -> None:
 
 if __name__ == "__main__":
     repeats = int(sys.argv[1]) if len(sys.argv) > 1 else 7
-    for part in (two_cores, cold):
+    for part in (two_cores, million, cold):
         if part.__name__ in sys.argv:
             part(repeats)
             raise SystemExit
     cores = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(cores)})
-    compare("Table II of the paper", repeats)
-    compare("Tyres as of recordings", repeats, **STIFFER)
+    peers = "engines" not in sys.argv
+    compare("Table II of the paper", repeats, peers)
+    compare("Tyres as of recordings", repeats, peers, **STIFFER)
+    if not peers:
+        raise SystemExit
     os.sched_setaffinity(0, cores)
-    subprocess.run([sys.executable, __file__, str(repeats), "two_cores"], check=True)
+    for part in (two_cores, million):
+        subprocess.run([sys.executable, __file__, str(repeats), part.__name__], check=True)
     cold(repeats)

@@ -30,6 +30,7 @@ ONLY_IN = {
     "diffrax": {"simulation.integrate", "simulation.ensemble"},
     "optimistix": {"estimation.levenberg_marquardt", "simulation.rayleigh_match", "design.tuning"},
     "distributed": {"simulation.dask_executor"},
+    "heyoka": {"simulation.taylor_series", "simulation.taylor_ensemble"},
     "matplotlib": {"present"},
     "plotly": {"present"},
     "jinja2": {"present"},

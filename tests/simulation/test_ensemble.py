@@ -30,6 +30,7 @@ def one_by_one(models: Model, gait, times, start) -> np.ndarray:
 
 EFFECTS = {
     "none": {},
+    "sensor clock and force": {"clock_offset": ClockOffset(T=0.03), "ground_slope": GroundSlope(sx=0.002)},
     "memory, sensor clock and force": {
         "tyre_relaxation": TyreRelaxation(sigma=0.05),
         "clock_offset": ClockOffset(T=0.03),
@@ -40,17 +41,24 @@ EFFECTS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("constraint", "effects"),
-    [("coupled", "memory, sensor clock and force"), ("free", "memory, sensor clock and force"), ("ideal", "none")],
+    ("constraint", "effects", "engine"),
+    [
+        ("coupled", "memory, sensor clock and force", "tsit5"),
+        ("free", "memory, sensor clock and force", "tsit5"),
+        ("ideal", "none", "tsit5"),
+        ("ideal", "none", "fastest"),
+        ("free", "sensor clock and force", "fastest"),
+        ("coupled", "sensor clock and force", "fastest"),
+    ],
 )
-def test_lanes_agree_with_diffrax(constraint, effects) -> None:
+def test_members_agree_with_diffrax(constraint, effects, engine) -> None:
     example = preset("paper-forward")
     model = Model(Board(**TABLE_II, creep_speed=0.01), Pacejka(8.0, 1.4, 4.0, 0.1), constraint, EFFECTS[effects])
     models = scattered(model, 5)
     start = np.random.default_rng(1).normal(size=(5, 3))
     times = np.linspace(0.0, 4.0, 9)
     # At SHARP a stiff board is off by 1e-9 itself.
-    found = simulate_many(models, example.gait, times, start, accuracy=SHARPER)
+    found = simulate_many(models, example.gait, times, start, accuracy=SHARPER, engine=engine)
     np.testing.assert_allclose(found, one_by_one(models, example.gait, times, start), rtol=0, atol=1e-9)
 
 
@@ -73,7 +81,8 @@ def test_each_lane_can_have_a_gait_of_its_own() -> None:
     times = np.linspace(0.0, 3.0, 4)
     found = simulate_many(stacked([slow.model, slow.model]), gaits, times, own_gaits=True)
     for pose, gait in zip(found, (slow.gait, fast.gait), strict=True):
-        np.testing.assert_array_equal(pose, simulate_many(stacked([slow.model]), gait, times)[0])
+        alone = simulate_many(stacked([slow.model]), gait, times)[0]
+        np.testing.assert_allclose(pose, alone, rtol=0, atol=1e-12)
 
 
 @pytest.mark.slow
@@ -88,7 +97,7 @@ def test_a_lane_that_gives_up_is_infinite_and_harms_no_other() -> None:
 def test_eight_devices_share_the_lanes_and_find_the_same(tmp_path: Path) -> None:
     example = preset("paper-rotate")
     times = np.linspace(0.0, 2.0, 3)
-    alone = simulate_many(scattered(example.model, 2 * CHUNK + 77), example.gait, times)
+    alone = simulate_many(scattered(example.model, 2 * CHUNK + 77), example.gait, times, engine="tsit5")
     script = tmp_path / "sharded.py"
     script.write_text(
         "import snakejax, sys, numpy as np\n"

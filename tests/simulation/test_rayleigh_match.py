@@ -106,9 +106,9 @@ def test_a_constant_k_s_has_no_r_squared() -> None:
 
 @pytest.mark.slow
 def test_a_board_that_cannot_be_simulated_is_told_from_one_that_none_follows(monkeypatch) -> None:
-    from snakejax.simulation import rayleigh_match as _rayleigh
+    from snakejax.simulation import parameter_sweep
 
-    monkeypatch.setattr(_rayleigh, "ACCURACY", Accuracy(rtol=1e-7, atol=1e-9, max_steps=20_000))
+    monkeypatch.setattr(parameter_sweep, "ACCURACY", Accuracy(rtol=1e-7, atol=1e-9, max_steps=20_000))
     example = preset("paper-rotate")
     found = nearest_rayleigh(example.model, example.gait, np.linspace(0, 2, 41), {"tyre.D": [1.0, 1e9]})
     assert np.isfinite(found.x.values[0]) and np.isfinite(found.mismatch.values[0])

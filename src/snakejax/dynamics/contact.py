@@ -4,13 +4,17 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from snakejax.core.fast_math import arctan, sine_cosine
+from snakejax.core.fast_math import arctan, named, sine_cosine
 from snakejax.core.parameter import Scalar
 
 from .signals import Joint
 from .vehicle import AbstractVehicle, Wheelset
 
+SLIP_ANGLE = "snakejax_slip_angle"
+"""Name of the slip angle in a trace."""
 
+
+@named(SLIP_ANGLE)
 def slip_angle(lateral: Scalar, rolling: Scalar, creep: Scalar) -> Scalar:
     """Slip angle of a rolling wheel, atan(v / sqrt(a^2 + eps^2)) [rad], odd in v and even in a.
 

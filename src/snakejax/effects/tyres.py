@@ -34,7 +34,7 @@ class GripSplit(LateralForce):
 
     def lateral(self, force: Scalar, wheel: Wheel, motion: Motion) -> Scalar:
         del motion
-        return force * (1 + self.s) if wheel.wheelset.place > 0 else force * (1 - self.s)
+        return force * jnp.where(wheel.wheelset.place > 0, 1 + self.s, 1 - self.s)
 
 
 class StribeckGrip(LateralForce):

@@ -8,7 +8,7 @@ without branches. The method and its coefficients are those of `diffrax.Tsit5` (
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, Literal
 
 import diffrax
 import jax
@@ -24,6 +24,7 @@ from snakejax.dynamics.inputs import AbstractInputs
 from snakejax.dynamics.model import Model
 
 from .integrate import Accuracy
+from .taylor_ensemble import Ensemble, Poses, by_taylor_series, heyoka_version
 
 BLOCK = 64
 """Members that step together: enough to fill the vector units, few enough for the first-level cache."""
@@ -40,6 +41,8 @@ _STAGES = [[float(a) for a in row] for row in _TABLEAU.a_lower]
 _NODES = [float(c) for c in _TABLEAU.c]
 _ERROR = [float(e) for e in _TABLEAU.b_error]
 
+Engine = Literal["fastest", "taylor", "tsit5"]
+"""How an ensemble is integrated: by Taylor series, by Tsit5, or by the fastest that is present and applies."""
 Members = tuple[Model, AbstractInputs | None, Float[Array, "V 3"]]
 """Stacked models, stacked gaits and start poses of the members."""
 Leaves = list[Float[Array, " B"]]
@@ -190,6 +193,7 @@ def simulate_many(
     own_gaits: bool = False,
     accuracy: Accuracy = ACCURACY,
     workers: int | None = None,
+    engine: Engine = "fastest",
 ) -> Float[np.ndarray, "V n 3"]:
     """Poses (V, n, 3), x, y [m] and heading [rad], of many models that start at rest at time 0.
 
@@ -199,8 +203,10 @@ def simulate_many(
 
     **Arguments:** `models`: a model whose arrays have a leading axis V (`stacked`). `gait`: one for all, or with
     `own_gaits` stacked like `models`. `times` [s] (n,), increasing. `start`: one pose (3,) for all, or (V, 3).
+    `engine`: "taylor" (Taylor series, of the extra `taylor`), "tsit5", or the fastest: Taylor series where the extra is
+    installed, and Tsit5 for the members that have no series to the end of their run.
     **Raises:** `RuntimeError` without double precision; `ValueError` for times that do not increase from 0, a wrong
-    shape of `start`, or an `accuracy` with a fixed step.
+    shape of `start`, an `accuracy` with a fixed step, or a model without Taylor series if these are asked for.
     """
     require_x64()
     frames, count = np.asarray(times, np.float64), jax.tree.leaves(models)[0].shape[0]
@@ -213,8 +219,56 @@ def simulate_many(
     if accuracy.step is not None:
         raise ValueError("Members choose their own steps: leave out the fixed step of `accuracy`.")
     starts = np.broadcast_to(np.asarray(start, np.float64), (count, 3))
-    members = jax.tree.map(np.asarray, (models, gait if own_gaits else None, starts))
-    common = (jax.tree.map(np.asarray, None if own_gaits else gait), frames)
+    ensemble = Ensemble.of(models, gait, starts, frames, own_gaits, by_value=True)
+    return integrated(ensemble, accuracy, workers, engine).poses
+
+
+def integrated(ensemble: Ensemble, accuracy: Accuracy, workers: int | None, engine: Engine) -> Poses:
+    """The poses of `ensemble` by `engine`, and why a member was integrated by Tsit5: "" where it was not.
+
+    **Raises:** `ValueError` if Taylor series are asked for and the models have none, or heyoka is not installed.
+    """
+    count = len(ensemble.starts)
+    refused = _refused_for_all(engine)
+    if engine == "taylor" and refused:
+        raise ValueError(f"There are no Taylor series: {refused}.")
+    if refused:
+        return Poses(_by_tsit5(ensemble, np.arange(count), accuracy, workers), np.full(count, refused))
+    poses, refusals = by_taylor_series(ensemble, accuracy, workers)
+    left = np.flatnonzero(refusals != "")
+    if left.size and engine == "taylor":
+        raise ValueError(f"{left.size} of {count} members have no Taylor series: {refusals[left[0]]}.")
+    if left.size:
+        poses[left] = _by_tsit5(ensemble, left, accuracy, workers)
+    return Poses(poses, refusals)
+
+
+def _refused_for_all(engine: Engine) -> str:
+    """Why no member is integrated by Taylor series; "" if any may be."""
+    if engine == "tsit5":
+        return "it was asked for"
+    if jax.local_device_count() > 1 and engine == "fastest":
+        return "the members are shared by several devices"
+    return "" if heyoka_version() else "heyoka is not installed (pip install 'snakejax[taylor]')"
+
+
+def engine_sentence(refusals: np.ndarray) -> str:
+    """Which members were integrated by which method, and why not all by Taylor series."""
+    others = refusals[refusals != ""]
+    if not others.size:
+        return "Integrated by Taylor series."
+    reasons = "; ".join(dict.fromkeys(others.tolist()))
+    who = "" if others.size == refusals.size else f" for {others.size} of {refusals.size} members"
+    return f"Integrated by {'Taylor series and ' if who else ''}Tsit5{who}: {reasons}."
+
+
+def _by_tsit5(
+    ensemble: Ensemble, members: np.ndarray, accuracy: Accuracy, workers: int | None
+) -> Float[np.ndarray, "m n 3"]:
+    """The poses of the `members` by Tsit5, in chunks of one size."""
+    count, own_gaits = members.size, ensemble.own_gaits
+    stacked_parts = (ensemble.models, ensemble.gaits if own_gaits else None, ensemble.starts)
+    common = (None if own_gaits else ensemble.gaits, ensemble.times)
     devices = jax.local_device_count()
     share = CHUNK * devices
 
@@ -224,8 +278,8 @@ def simulate_many(
         per_device = -(-needed // devices)
         begins = np.minimum(per_device * np.arange(devices), needed)
         sizes = np.minimum(per_device, needed - begins)
-        rows = np.minimum(first + begins[:, None] + np.arange(CHUNK), count - 1).ravel()
-        arguments = (jax.tree.map(lambda leaf: leaf[rows], members), sizes, *common)
+        rows = members[np.minimum(first + begins[:, None] + np.arange(CHUNK), count - 1).ravel()]
+        arguments = (jax.tree.map(lambda leaf: leaf[rows], stacked_parts), sizes, *common)
         poses = np.asarray(_program(devices, arguments, accuracy)(*arguments))
         return np.concatenate([poses[CHUNK * d : CHUNK * d + size] for d, size in enumerate(sizes)])
 

@@ -18,7 +18,8 @@ from snakejax.dynamics.model import Model
 from snakejax.dynamics.tyres import Bakker
 
 from .chunks import Columns, Executor, fingerprint, length, local_executor, map_chunks
-from .ensemble import ACCURACY, simulate_many
+from .ensemble import ACCURACY, Engine, engine_sentence, integrated
+from .taylor_ensemble import Ensemble, Poses, heyoka_version
 
 if TYPE_CHECKING:
     import xarray
@@ -105,8 +106,19 @@ def models_on(model: Model, columns: Columns) -> Model:
     return models
 
 
-def _poses(model: Model, gait: AbstractInputs, times: np.ndarray, start: Sequence[float], columns: Columns) -> Columns:
-    return {"pose": simulate_many(models_on(model, columns), gait, times, start, accuracy=ACCURACY, workers=1)}
+def _poses(
+    model: Model, gait: AbstractInputs, times: np.ndarray, start: Sequence[float], engine: Engine, columns: Columns
+) -> Columns:
+    poses, refusals = members_of(models_on(model, columns), gait, times, start, engine)
+    return {"pose": poses, "refusal": refusals}
+
+
+def members_of(models: Model, gait: AbstractInputs, times: np.ndarray, start: Sequence[float], engine: Engine) -> Poses:
+    """The poses of a chunk of `models_on`, all of which start at one pose."""
+    starts = np.broadcast_to(np.asarray(start, np.float64), (len(jax.tree.leaves(models)[0]), 3))
+    # What the chunk varies may be alike in it by chance: the program must not depend on that.
+    ensemble = Ensemble.of(models, gait, starts, times, own_gaits=False, by_value=False)
+    return integrated(ensemble, ACCURACY, 1, engine)
 
 
 class SweepOptions(TypedDict, total=False):
@@ -115,13 +127,14 @@ class SweepOptions(TypedDict, total=False):
     `start`: the pose (x [m], y [m], heading [rad]) of all members, at rest at time 0 (default: the origin). `folder`:
     where results are saved by chunk; after an interruption the same call computes the missing chunks, with a result
     that is identical to the last bit. `executor`: the cores of this machine (default) or a `cluster(...)`.
-    `progress` counts members.
+    `progress` counts members. `engine`: as of `simulate_many`.
     """
 
     start: tuple[float, float, float]
     folder: Path | str | None
     executor: Executor
     progress: Progress
+    engine: Engine
 
 
 def sweep(
@@ -137,19 +150,19 @@ def sweep(
     `effects.ground_slope.sx`), taken in all combinations; or `table(...)`. `how`: see `SweepOptions`.
 
     **Returns:** `x`, `y` [m] and `heading` [rad] along the axes and `time`; infinite for a member whose simulation
-    needs too many steps.
+    needs too many steps. The attribute `engine` says how the members were integrated.
 
     **Raises:** `ValueError` for an unknown parameter or a value outside its domain.
     """
     import xarray
 
     axes = require_axes(model, over)
-    pose = axes.effective_vehicle(evaluate(_poses, model, gait, times, axes, how)["pose"])
+    columns = evaluate(_poses, model, gait, times, axes, how)
+    pose = axes.effective_vehicle(columns["pose"])
     channels = (("x", "m"), ("y", "m"), ("heading", "rad"))
     data = {name: ((*axes.dims, "time"), pose[..., k], {"units": unit}) for k, (name, unit) in enumerate(channels)}
-    return xarray.Dataset(
-        data, {**coordinates(model, axes), "time": ("time", np.asarray(times, np.float64), {"units": "s"})}
-    )
+    clock = {"time": ("time", np.asarray(times, np.float64), {"units": "s"})}
+    return xarray.Dataset(data, coordinates(model, axes) | clock, {"engine": engine_sentence(columns["refusal"])})
 
 
 def coordinates(model: Model, axes: Axes) -> dict[str, Any]:
@@ -167,12 +180,13 @@ def evaluate(
     axes: Axes,
     how: SweepOptions,
 ) -> dict[str, np.ndarray]:
-    """Apply `work(model, gait, times, start, columns)` to all members of `axes`; each sweep has its own folder."""
+    """Apply `work(model, gait, times, start, engine, columns)` to all members; each sweep has a folder of its own."""
     # NumPy arrays can be sent to a process in which JAX has not been imported.
     arguments = (model, gait, np.asarray(times, np.float64), how.get("start", (0.0, 0.0, 0.0)))
     arguments = jax.tree.map(np.asarray, arguments)
-    chunk_folder, folder = None, how.get("folder")
+    chunk_folder, folder, engine = None, how.get("folder"), how.get("engine", "fastest")
     if folder is not None:
-        chunk_folder = Path(folder) / fingerprint(work.__qualname__, arguments, axes.columns)[:16]
+        how_integrated = (engine, heyoka_version()) if engine != "tsit5" else (engine,)
+        chunk_folder = Path(folder) / fingerprint(work.__qualname__, arguments, axes.columns, how_integrated)[:16]
     options = {"executor": how.get("executor", local_executor), "progress": how.get("progress", no_progress)}
-    return map_chunks(functools.partial(work, *arguments), axes.columns, folder=chunk_folder, **options)
+    return map_chunks(functools.partial(work, *arguments, engine), axes.columns, folder=chunk_folder, **options)

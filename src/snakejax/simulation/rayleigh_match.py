@@ -17,8 +17,8 @@ from snakejax.dynamics.ports import LateralForce, TyreModifier, TyreState
 from snakejax.dynamics.tyres import Rayleigh
 
 from .chunks import Columns
-from .ensemble import ACCURACY, simulate_many
-from .parameter_sweep import Axes, SweepOptions, coordinates, evaluate, models_on, require_axes
+from .ensemble import Engine, engine_sentence
+from .parameter_sweep import Axes, SweepOptions, coordinates, evaluate, members_of, models_on, require_axes
 
 if TYPE_CHECKING:
     import xarray
@@ -76,19 +76,17 @@ def nearest_rayleigh(
         )
     axes = require_axes(model, over)
     columns = evaluate(_nearest, model, gait, times, axes, how)
+    engine = {"engine": engine_sentence(columns.pop("refusal"))}
     results = {name: axes.effective_vehicle(column) for name, column in columns.items()}
     units = {"k_s": "N s/m", "best": "N s/m", "mismatch": "1", "path": "m", "x": "m", "y": "m", "heading": "rad"}
     data = {name: (axes.dims, results[name], {"units": unit}) for name, unit in units.items()}
-    return xarray.Dataset(data, coordinates(model, axes))
+    return xarray.Dataset(data, coordinates(model, axes), engine)
 
 
 def _nearest(
-    model: Model, gait: AbstractInputs, times: np.ndarray, start: Sequence[float], columns: Columns
+    model: Model, gait: AbstractInputs, times: np.ndarray, start: Sequence[float], engine: Engine, columns: Columns
 ) -> Columns:
-    def simulated(models: Model) -> np.ndarray:
-        return simulate_many(models, gait, times, start, accuracy=ACCURACY, workers=1)
-
-    pose = simulated(models_on(model, columns))
+    pose, refusals = members_of(models_on(model, columns), gait, times, start, engine)
     paths = pose[..., :2]
     finished = np.isfinite(pose).all(axis=(1, 2))
     with np.errstate(invalid="ignore"):
@@ -100,7 +98,7 @@ def _nearest(
         """Paths (k, n, 2) of the Rayleigh models of `members` with k_s from `FINE`."""
         varied = {name: column[list(members)] for name, column in varied_columns.items()}
         twins = models_on(template, {"tyre.k_s": FINE[list(indices)], **varied})
-        return simulated(twins)[..., :2]
+        return members_of(twins, gait, times, start, engine).poses[..., :2]
 
     # If only the tyre is varied, all members share one set of Rayleigh models.
     all_members = np.arange(len(paths))
@@ -114,7 +112,14 @@ def _nearest(
     with np.errstate(invalid="ignore"):
         fits = inside & (mismatch < FOLLOWS)
     end = {name: pose[:, -1, k] for k, name in enumerate(CHANNELS)}
-    return {"k_s": np.where(fits, best, np.nan), "best": best, "mismatch": mismatch, "path": length, **end}
+    return {
+        "k_s": np.where(fits, best, np.nan),
+        "best": best,
+        "mismatch": mismatch,
+        "path": length,
+        **end,
+        "refusal": refusals,
+    }
 
 
 def _search(trial, groups: Sequence[np.ndarray], paths: np.ndarray, best: np.ndarray, square: np.ndarray) -> None:

@@ -199,6 +199,7 @@ def _result(
         "r_squared": curve and curve.r_squared,
         "fitted_range": curve and curve.fitted_range,
         "end": {key: boards[column].values.tolist() for key, column in end.items()},
+        "engine": boards.attrs["engine"],
     }
 
 
@@ -307,6 +308,7 @@ def _report(title: str, boards: Any, curve: Any, names: list[str]) -> Any:
     lines: list[Any] = [Text(title, style="bold"), table]
     if count > SHOWN:
         lines.append(Text(f"{SHOWN} of {count} boards; all are in the JSON, and with --out in sweep.nc."))
+    lines.append(Text(boards.attrs["engine"]))
     if curve is not None:
         (low, high), name = curve.fitted_range, names[0]
         powers = [f" {name}^4", f" {name}^3", f" {name}^2", f" {name}", ""]
