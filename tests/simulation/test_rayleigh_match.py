@@ -92,7 +92,7 @@ def test_where_an_effect_is_varied_each_board_is_compared_with_rayleigh_boards_t
 def test_boards_of_their_own_kind_and_tyres_beyond_their_formulas_are_refused() -> None:
     example = preset("paper-rotate")
     for model in (rayleigh(example.model, 3.0), Model(example.model.board, example.model.tyre, "ideal")):
-        with pytest.raises(ValueError, match="no other to come near"):
+        with pytest.raises(ValueError, match="found for Pacejka boards only"):
             nearest_rayleigh(model, example.gait, [1.0], {"board.mass": [7.0]})
     with_payload = preset("paper-gait1")
     with pytest.raises(ValueError, match="beyond Bakker's formulas"):
