@@ -27,6 +27,7 @@ from snakejax.present import plot
 from snakejax.present.as_json.comparison import comparison_json
 from snakejax.present.as_json.fit import fit_json
 from snakejax.present.as_json.provenance import provenance_json
+from snakejax.present.as_text.certainty import floor_sentences
 from snakejax.present.as_text.columns import (
     DETECTS,
     ERROR,
@@ -42,9 +43,9 @@ from snakejax.present.as_text.columns import (
 from snakejax.present.as_text.comparison import compare_report
 from snakejax.present.as_text.errors import error_text, milli_text, pose_error_text, times_noise, times_noise_text
 from snakejax.present.as_text.explanation import diagnosis_text, explanation_text
-from snakejax.present.as_text.first_lines import value_text
 from snakejax.present.as_text.fit import fit_report
 from snakejax.present.as_text.missing import components_text, determined
+from snakejax.present.as_text.tables import value_text
 from snakejax.present.report import diagnosis_page, explanation_page, fit_page, tune_page
 from snakejax.present.views import view_of_fit
 
@@ -222,6 +223,17 @@ def test_what_remains_says_with_what_it_goes() -> None:
     assert laws in joined(shown(explanation_text(undecided)))
     alone = dataclasses.replace(found, remainder=rest._replace(depends_on=()))
     assert "depend on no variable (5%)" in joined(shown(explanation_text(alone)))
+
+
+def test_a_constant_at_the_limit_of_what_is_known_of_it_has_no_error_and_is_named() -> None:
+    constants = {
+        "mass": Estimate(7.0, 0.05, "kg", True),
+        "inertia": Estimate(0.01319, None, "kg m^2", False, True),
+    }
+    floor = PoseError(4e-4, 2.5e-3, "cameras")
+    text = " ".join(floor_sentences(dataclasses.replace(story(), floor=floor, constants=constants)))
+    assert "mass = 7.000 +- 0.050 kg, inertia = 0.01319 kg m^2." in text
+    assert "At the limit of this uncertainty: inertia." in text
 
 
 def test_arrows_of_a_force_have_a_scale() -> None:

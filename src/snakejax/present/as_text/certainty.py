@@ -7,7 +7,7 @@ from snakejax.diagnosis.explanation import Explanation
 from snakejax.diagnosis.residuals.horizon import horizon_errors
 
 from .errors import pose_error_text
-from .tables import number, unit_text
+from .tables import number, values_text
 
 
 def confidence_sentences(explanation: Explanation, effect: str) -> Iterator[str]:
@@ -106,11 +106,11 @@ def floor_sentences(explanation: Explanation) -> Iterator[str]:
             " distinguish them."
         )
     if explanation.constants:
-        parts = [
-            f"{name} = {number(e.value, e.sd)} +- {number(e.sd, e.sd)}{unit_text(e)}"
-            for name, e in explanation.constants.items()
-        ]
-        yield f"The constants of the board were estimated within their stated uncertainty: {', '.join(parts)}."
+        noun, limits = explanation.case.board.noun, [n for n, e in explanation.constants.items() if e.at_bound]
+        values = values_text(explanation.constants)
+        yield f"The constants of the {noun} were estimated within their stated uncertainty: {values}."
+        if limits:
+            yield f"At the limit of this uncertainty: {', '.join(limits)}. Measure again or state a larger one."
 
 
 def horizon_sentences(explanation: Explanation) -> Iterator[str]:

@@ -26,9 +26,20 @@ from .columns import (
     of_heldout,
 )
 from .errors import error_text, milli_text, times_noise_text
-from .first_lines import first_lines, title, values_text
+from .first_lines import first_lines, title
 from .missing import components_text
-from .tables import NOT_CONVERGED, add_row, error, named, not_converged_line, note, number, plain_table, unit_text
+from .tables import (
+    NOT_CONVERGED,
+    add_row,
+    error,
+    named,
+    not_converged_line,
+    note,
+    number,
+    plain_table,
+    unit_text,
+    values_text,
+)
 
 CLOSE = 0.9
 """A variable whose share is at least this part of the best one's may be the cause as well."""

@@ -1,20 +1,17 @@
 """The first lines of an explanation: the cause and its value, the error before and after, its validation, and how sure
 that is."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 from snakejax.core.tabular import counted, listed
 from snakejax.diagnosis.explanation import Explanation
 from snakejax.diagnosis.latent_force.missing_force import LatentForce
-from snakejax.estimation.uncertainty import Estimate
 
 from .certainty import confidence_sentences, law_sentences
 from .errors import error_text
 from .missing import components_text
-from .tables import NOT_CONVERGED, error, number
+from .tables import NOT_CONVERGED, values_text
 
-MILLI = {"rad": "mrad", "m": "mm"}
-"""Units of which small values are shown as thousandths."""
 UNDECIDED = "No known effect brings the error down to the noise."
 
 
@@ -93,22 +90,3 @@ def _certainty(explanation: Explanation) -> Iterator[str]:
         sentences = " ".join(confidence_sentences(explanation, effect))
         if sentences:
             yield f"{effect}: {sentences}" if several else sentences
-
-
-def values_text(estimates: Mapping[str, Estimate]) -> str:
-    """Names, values and standard errors: `sx = 3.000 +- 0.017 mrad`."""
-    return ", ".join(f"{name} = {value_text(estimate)}" for name, estimate in estimates.items())
-
-
-def value_text(estimate: Estimate) -> str:
-    """A value with at most four digits, its standard error, and its unit; small angles and lengths as thousandths."""
-    value, sd, unit = estimate.value, estimate.sd, estimate.unit
-    if unit in MILLI and abs(value) < 1:
-        value, sd, unit = 1e3 * value, None if sd is None else 1e3 * sd, MILLI[unit]
-    unit = "" if unit == "-" else f" {unit}"
-    if sd is None or not value:
-        return f"{number(value, sd)}{f' +- {error(sd)}' if sd else ''}{unit}"
-    least = 10.0 ** (int(f"{value:.3e}".split("e")[1]) - 3)
-    if sd >= least:
-        return f"{number(value, max(sd, 10 * least))} +- {error(sd)}{unit}"
-    return f"{number(value, 10 * least)} +- < {least:g}{unit}"

@@ -1,6 +1,6 @@
 """Numbers and tables for a terminal of 80 columns."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from rich import box
@@ -17,6 +17,8 @@ from ..as_json.values import short
 MOST_DIGITS = 9
 """The largest number of significant digits: the error of a simulation is about 1e-9 of its result."""
 Interval = tuple[float | None, float | None]
+MILLI = {"rad": "mrad", "m": "mm"}
+"""Units of which small values are shown as thousandths."""
 
 
 def number(value: float | None, sd: float | None = None) -> str:
@@ -121,3 +123,22 @@ def not_converged_line(*fits: str) -> str:
     *first, last = fits
     which, whose = (f"fits of {', '.join(first)} and {last}", "their") if first else (f"fit of {last}", "its")
     return f"The {which} {NOT_CONVERGED}: {whose} errors and values are less certain than the standard errors state."
+
+
+def values_text(estimates: Mapping[str, Estimate]) -> str:
+    """Names, values and standard errors: `sx = 3.000 +- 0.017 mrad`."""
+    return ", ".join(f"{name} = {value_text(estimate)}" for name, estimate in estimates.items())
+
+
+def value_text(estimate: Estimate) -> str:
+    """A value with at most four digits, its standard error, and its unit; small angles and lengths as thousandths."""
+    value, sd, unit = estimate.value, estimate.sd, estimate.unit
+    if unit in MILLI and abs(value) < 1:
+        value, sd, unit = 1e3 * value, None if sd is None else 1e3 * sd, MILLI[unit]
+    unit = "" if unit == "-" else f" {unit}"
+    if sd is None or not value:
+        return f"{number(value, sd)}{f' +- {error(sd)}' if sd else ''}{unit}"
+    least = 10.0 ** (int(f"{value:.3e}".split("e")[1]) - 3)
+    if sd >= least:
+        return f"{number(value, max(sd, 10 * least))} +- {error(sd)}{unit}"
+    return f"{number(value, 10 * least)} +- < {least:g}{unit}"
