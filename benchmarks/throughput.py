@@ -277,7 +277,7 @@ def million(repeats: int) -> None:
 
 def cold(repeats: int) -> None:
     """`snakejax sweep` over 1024 boards in fresh processes; the first one, which compiles, is left out."""
-    mine = ("_cli.sweep", "_cli._models", "_cli._setup", "_rayleigh", "_cluster", "_presets", "_text", "_case")
+    mine = ("commands.cli.sweep", "commands.requested_model", "simulation.parameter_sweep", "simulation.rayleigh_match")
     imports = "; ".join(f"import snakejax.{name}" for name in mine) + "; import xarray, rich.console, rich.progress"
     sweeps = {
         "k_s of a Rayleigh board": ("--model", "rayleigh", "--vary", "k_s=1:100:1024"),
