@@ -41,5 +41,6 @@ from .tyres import Rayleigh as Rayleigh
 from .vehicle import AbstractVehicle as AbstractVehicle
 from .vehicle import Body as Body
 from .vehicle import Placement as Placement
+from .vehicle import RigidVehicle as RigidVehicle
 from .vehicle import Stroke as Stroke
 from .vehicle import Wheelset as Wheelset

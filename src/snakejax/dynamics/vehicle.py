@@ -219,3 +219,26 @@ class AbstractVehicle(Parametrised):
         """The picture of `wheelset` in its own frame: by default one wheel."""
         del wheelset
         return wheels_across(float(self.length), 0.0)
+
+
+class RigidVehicle(AbstractVehicle):
+    """A vehicle that is one rigid body, whose pose is that of its centre of mass.
+
+    `mass` [kg]; `inertia` [kg m^2]: yaw inertia about the centre of mass.
+    """
+
+    inertia: eqx.AbstractVar[Scalar]
+
+    @property
+    def total_inertia(self) -> Scalar:
+        """Yaw inertia about the centre of mass [kg m^2]."""
+        return self.inertia
+
+    def bodies(self, angles: Angles) -> tuple[Body, ...]:
+        """One body."""
+        del angles
+        return (Body(self.mass, self.inertia),)
+
+    def with_payload(self, mass: Scalar, inertia: Scalar) -> Self:
+        """The vehicle with a payload of `mass` [kg] and yaw inertia `inertia` [kg m^2] at its centre of mass."""
+        return eqx.tree_at(lambda v: (v.mass, v.inertia), self, (self.mass + mass, self.inertia + inertia))

@@ -11,13 +11,13 @@ from snakejax.dynamics.constraints import AbstractConstraint, NonSlipping, Slipp
 from snakejax.dynamics.contact import Motion
 from snakejax.dynamics.inputs import Input
 from snakejax.dynamics.signals import Joint
-from snakejax.dynamics.vehicle import AbstractVehicle, Angles, Body, Joints, Placement, Stroke, Wheelset, wheels_across
+from snakejax.dynamics.vehicle import Angles, Joints, Placement, RigidVehicle, Stroke, Wheelset, wheels_across
 
 DEAD_BAND_WIDTH = 0.01
 """Width of the smooth edge of the dead band, in units of the command."""
 
 
-class Car(AbstractVehicle):
+class Car(RigidVehicle):
     """A car whose left and right wheels are one on each axle (single-track model; Riekert and Schunck 1940).
 
     The pose is that of its centre of mass, `front` [m] behind the front axle and `rear` [m] ahead of the rear one. With
@@ -60,19 +60,9 @@ class Car(AbstractVehicle):
         return self.unknown
 
     @property
-    def total_inertia(self) -> Scalar:
-        """Yaw inertia about the centre of mass [kg m^2]."""
-        return self.inertia
-
-    @property
     def length(self) -> Scalar:
         """Half the wheelbase [m]."""
         return (self.front + self.rear) / 2
-
-    def bodies(self, angles: Angles) -> tuple[Body, ...]:
-        """One body; its centre of mass is the measured point."""
-        del angles
-        return (Body(self.mass, self.inertia),)
 
     def placement(self, wheelset: Wheelset, angles: Angles) -> Placement:
         """On the axis of the car."""
@@ -94,10 +84,6 @@ class Car(AbstractVehicle):
         pulled = w * (jax.nn.softplus((command - c) / w) - jax.nn.softplus((-command - c) / w))
         force = self.force_gain * pulled - self.speed_loss * motion.u
         return force * self.front_drive, force * (1 - self.front_drive)
-
-    def with_payload(self, mass: Scalar, inertia: Scalar) -> Self:
-        """The car with a payload of `mass` [kg] and yaw inertia `inertia` [kg m^2] at its centre of mass."""
-        return eqx.tree_at(lambda c: (c.mass, c.inertia), self, (self.mass + mass, self.inertia + inertia))
 
     def with_centre_moved(self, ahead: Scalar) -> Self:
         """The car with its axles `ahead` [m] further back."""

@@ -9,7 +9,7 @@ from snakejax.dynamics.constraints import AbstractConstraint, NonSlipping, Slipp
 from snakejax.dynamics.inputs import Input
 from snakejax.dynamics.multibody import Phase, Vector
 from snakejax.dynamics.signals import Joint
-from snakejax.dynamics.vehicle import AbstractVehicle, Angles, Body, Joints, Placement, Stroke, Wheelset
+from snakejax.dynamics.vehicle import AbstractVehicle, Angles, Joints, Placement, RigidVehicle, Stroke, Wheelset
 
 
 class DifferentialDrive(NonSlipping):
@@ -29,7 +29,7 @@ class DifferentialDrive(NonSlipping):
         return (left + right) / 2, ahead * rate, rate
 
 
-class SkidSteer(AbstractVehicle):
+class SkidSteer(RigidVehicle):
     """Four wheels that cannot be steered, at (+-half_base, +-half_track) [m]; the pairs left and right are driven.
 
     The inputs `left` and `right` are the speeds of the rims [m/s] divided by `wheel_radius`, so with a radius in m they
@@ -80,19 +80,9 @@ class SkidSteer(AbstractVehicle):
         return self.unknown
 
     @property
-    def total_inertia(self) -> Scalar:
-        """Yaw inertia about the centre of mass [kg m^2]."""
-        return self.inertia
-
-    @property
     def length(self) -> Scalar:
         """Half the wheelbase [m]."""
         return self.half_base
-
-    def bodies(self, angles: Angles) -> tuple[Body, ...]:
-        """One body; the pose is that of its centre of mass."""
-        del angles
-        return (Body(self.mass, self.inertia),)
 
     def placement(self, wheelset: Wheelset, angles: Angles) -> Placement:
         """A corner of the rectangle of the wheels, whose middle is `offset` behind the centre of mass."""
@@ -104,10 +94,6 @@ class SkidSteer(AbstractVehicle):
     def rim(self, wheelset: Wheelset, joints: Joints) -> Joint:
         """`wheel_radius` times the input of its side."""
         return Joint(*(self.wheel_radius * part for part in joints[wheelset.drive]))
-
-    def with_payload(self, mass: Scalar, inertia: Scalar) -> Self:
-        """The robot with a payload of `mass` [kg] and yaw inertia `inertia` [kg m^2] at its centre of mass."""
-        return eqx.tree_at(lambda c: (c.mass, c.inertia), self, (self.mass + mass, self.inertia + inertia))
 
     def with_centre_moved(self, ahead: Scalar) -> Self:
         """The robot with `offset` larger by `ahead` [m]."""

@@ -1,15 +1,13 @@
 """Chaplygin sleigh: a body on a blade behind its centre of mass."""
 
-from typing import ClassVar, Self
-
-import equinox as eqx
+from typing import ClassVar
 
 from snakejax.core.parameter import Scalar, param
 from snakejax.dynamics.constraints import AbstractConstraint, NonSlipping, Slipping
-from snakejax.dynamics.vehicle import AbstractVehicle, Angles, Body, Placement, Wheelset
+from snakejax.dynamics.vehicle import Angles, Placement, RigidVehicle, Wheelset
 
 
-class Sleigh(AbstractVehicle):
+class Sleigh(RigidVehicle):
     """A rigid body on one blade `arm` [m] behind its centre of mass, without inputs (Chaplygin 1911; Bloch 2003, 1.7).
 
     Without slip the speed of the blade v and the yaw rate r obey
@@ -33,28 +31,14 @@ class Sleigh(AbstractVehicle):
     wheelsets: tuple[Wheelset, ...] = (Wheelset(-1.0, name="blade", axle="rear"),)
 
     @property
-    def total_inertia(self) -> Scalar:
-        """Yaw inertia about the centre of mass [kg m^2]."""
-        return self.inertia
-
-    @property
     def length(self) -> Scalar:
         """The radius of gyration [m]."""
         return (self.inertia / self.mass) ** 0.5
-
-    def bodies(self, angles: Angles) -> tuple[Body, ...]:
-        """One body."""
-        del angles
-        return (Body(self.mass, self.inertia),)
 
     def placement(self, wheelset: Wheelset, angles: Angles) -> Placement:
         """The blade, along the body."""
         del wheelset, angles
         return Placement(-self.arm)
-
-    def with_payload(self, mass: Scalar, inertia: Scalar) -> Self:
-        """The sleigh with a payload of `mass` [kg] and yaw inertia `inertia` [kg m^2] at its centre of mass."""
-        return eqx.tree_at(lambda c: (c.mass, c.inertia), self, (self.mass + mass, self.inertia + inertia))
 
 
 ICE_SLEIGH = dict(mass=2.0, inertia=0.05, arm=0.1)
