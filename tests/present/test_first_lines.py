@@ -27,7 +27,7 @@ from snakejax.present import plot
 from snakejax.present.as_json.comparison import comparison_json
 from snakejax.present.as_json.fit import fit_json
 from snakejax.present.as_json.provenance import provenance_json
-from snakejax.present.as_text.certainty import floor_sentences
+from snakejax.present.as_text.certainty import confidence_sentences, floor_sentences
 from snakejax.present.as_text.columns import (
     DETECTS,
     ERROR,
@@ -234,6 +234,15 @@ def test_a_constant_at_the_limit_of_what_is_known_of_it_has_no_error_and_is_name
     text = " ".join(floor_sentences(dataclasses.replace(story(), floor=floor, constants=constants)))
     assert "mass = 7.000 +- 0.050 kg, inertia = 0.01319 kg m^2." in text
     assert "At the limit of this uncertainty: inertia." in text
+
+
+@pytest.mark.parametrize(("of_windows", "words"), [(True, "each left out in turn"), (False, "held-out runs")])
+def test_windows_are_judged_by_left_out_recordings_wherever_they_were_cut(of_windows: bool, words: str) -> None:
+    """What is sure by recordings left out does not leave only noise; a window may stand in a file of its own."""
+    parts = {"confidence": {"ground_slope": "sure"}, "share": {"ground_slope": 0.9}, "of_windows": of_windows}
+    text = " ".join(confidence_sentences(dataclasses.replace(story(), **parts), "ground_slope"))
+    assert words in text
+    assert ("only noise is left" in text) is not of_windows
 
 
 def test_arrows_of_a_force_have_a_scale() -> None:

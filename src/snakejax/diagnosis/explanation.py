@@ -106,7 +106,7 @@ class Explanation(Tabular):
     `constants`: the constants of the vehicle, estimated within their uncertainty. `bands`: the predictive check of each
     run. `odd_runs`: train runs that differ from the others. `law`: the force in which a law among the effects was
     found, None without one. `calibrated`: if nothing was added, the base model with the estimated constants of the
-    vehicle.
+    vehicle. `of_windows`: whether the runs are many short windows, and effects were judged by left-out recordings.
     """
 
     case: Case
@@ -128,6 +128,7 @@ class Explanation(Tabular):
     odd_runs: tuple[OddRun, ...] = ()
     law: LatentForce | None = None
     calibrated: SelectionStep | None = None
+    of_windows: bool = False
 
     @property
     def base(self) -> SelectionStep:
@@ -138,11 +139,6 @@ class Explanation(Tabular):
     def final(self) -> SelectionStep:
         """The fit with all that was added, and with the constants of the vehicle as they were estimated."""
         return self.steps[-1] if self.calibrated is None else self.calibrated
-
-    @property
-    def of_windows(self) -> bool:
-        """Whether the train runs are windows of longer recordings, which judge by recordings left out."""
-        return any(run.cut_from is not None for run in self.case.having("train"))
 
     @property
     def named_laws(self) -> dict[str, Law]:

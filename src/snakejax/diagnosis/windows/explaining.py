@@ -219,6 +219,7 @@ def _explanation(
         remainder=remainder,
         candidates=tuple(row for k in range(len(path)) for row in _tried(path, k, others)),
         constants=known,
+        of_windows=True,
     )
 
 
