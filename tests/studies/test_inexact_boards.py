@@ -1,13 +1,17 @@
 """A board as real ones are: other constants than stated, noise that wanders, a law that no library holds."""
 
+import dataclasses
 from collections import OrderedDict
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from snakejax import Board, Case, Force, Gait, Model, Noise, Pacejka, Run, Sines, param, simulate
+from snakejax import Board, Case, Force, Gait, Model, Noise, Pacejka, Run, Sines, param, simulate, starting_model
 from snakejax.diagnosis import explain
+from snakejax.diagnosis.exact_checks import constants_explain
+from snakejax.diagnosis.selection.candidates import CandidateFit, CandidateSet
+from snakejax.diagnosis.selection.refit import base_fit
 from snakejax.effects import LIBRARY
 
 pytestmark = pytest.mark.slow
@@ -155,3 +159,18 @@ def test_a_wrong_constant_is_corrected_and_no_effect_stands_in_for_it() -> None:
     for name, true in (("mass", 6.8), ("inertia", 0.42), ("rotor_inertia", 0.0232)):
         estimate = found.constants[name]
         assert abs(estimate.value - true) < 3 * estimate.sd
+
+
+@pytest.mark.parametrize(("stated", "slope", "explained"), [(0.248, 0.0, True), (0.25, 2e-3, False)])
+def test_free_constants_explain_a_wrong_length_and_no_slope(stated: float, slope: float, explained: bool) -> None:
+    """One effect may leave as little of an exact board whose half length is 2 mm off. It is not claimed then."""
+    effects = {"ground_slope": LIBRARY["ground_slope"](sx=jnp.asarray(slope), sy=jnp.asarray(-slope))}
+    case = recorded(effects if slope else {}, 5, exact=True)
+    case = dataclasses.replace(case, board=Board(**(STATED | {"half_length": stated}), inertia=0.44))
+    offered = {name: LIBRARY[name]() for name in ("ground_slope", "steering_gain")}
+    candidate_set = CandidateSet.of(starting_model(case), case, case.noise, offered)
+    base = CandidateFit((), base_fit(candidate_set))
+    assert base.solution.misfit > 1.5
+    assert constants_explain(candidate_set, base, {}) is explained
+    # What is stated to 0.1 mm is not 2 mm off.
+    assert not constants_explain(candidate_set, base, {"half_length": 1e-4})

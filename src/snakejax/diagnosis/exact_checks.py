@@ -1,15 +1,23 @@
 """Checks of a model that leaves only noise: the bands of each run, and runs that differ from the others."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from snakejax.core.parameter import parameters
+from snakejax.estimation.discrepancy.priors import constant_sd
 from snakejax.estimation.fitted_model import FittedModel
+from snakejax.estimation.goodness_of_fit import consistent_with_noise
+from snakejax.estimation.problem import Problem
 
 from .explanation import RunBand, run_bands
 from .odd_runs import OddRun, odd_runs, run_grams
 from .selection.candidates import CandidateFit, CandidateSet
 from .selection.score_test import projected
 from .selection.screening import window_sensitivities
+
+STATED_WELL = 3.5
+"""A constant is not off by more than so many standard deviations of what is known of it: one in two thousand."""
 
 
 def bands_of(fitted: FittedModel) -> tuple[RunBand, ...]:
@@ -31,3 +39,24 @@ def odd_runs_beside(candidate_set: CandidateSet, step: CandidateFit) -> tuple[Od
     known = parameters(problem.model)
     shifts = odd_runs(run_grams(rest.residual, -rest.columns, rest.run), runs, columns, fitted)
     return tuple(shift.in_units(known[shift.parameter].domain, float(values[shift.parameter])) for shift in shifts)
+
+
+def constants_explain(candidate_set: CandidateSet, step: CandidateFit, stated: Mapping[str, float]) -> bool:
+    """Whether the constants of the vehicle, once they are free, explain the train runs without a further effect.
+
+    The fit `step` has to leave only noise then, and each constant has to be within `STATED_WELL` standard deviations of
+    its value: those `stated` [SI], or those of its kind.
+    """
+    problem = candidate_set.problem
+    absent = [name for name in candidate_set.candidates if name not in step.effects]
+    model = problem.model.without(*absent)
+    known = parameters(model)
+    sds = {name: sd for name, sd in constant_sd(model, stated).items() if name in known}
+    names = [*candidate_set.free(step.effects), *sds]
+    freed = Problem.of(model, problem.runs, problem.noise, names, len(names), threshold=problem.threshold)
+    values = {name: value for name, value in step.solution.values.items() if name in names}
+    solution = freed.fit(values, names, candidate_set.train, step.solution.start)
+    if not consistent_with_noise(solution):
+        return False
+    moved = {name: abs(np.log(solution.values[name] / float(known[name].value))) for name in sds}
+    return all(moved[name] <= STATED_WELL * sd for name, sd in sds.items())

@@ -25,7 +25,7 @@ from snakejax.recording.run import Case, Noise
 
 from .all_effects_at_once import with_all_effects_at_once
 from .diagnosing import BaseDiagnosis, DiagnosisOptions, diagnose_base, start_of
-from .exact_checks import bands_of, odd_runs_beside
+from .exact_checks import STATED_WELL, bands_of, constants_explain, odd_runs_beside
 from .explanation import Explanation
 from .inexact.confidence import AMBIGUOUS, STAND_IN, SURE
 from .inexact.explaining import shares_of
@@ -40,9 +40,6 @@ from .selection.working_step import WorkingStep, selection_step
 from .windows import explaining as windows
 
 Show = Callable[[SelectionStep], None]
-
-STATED_WELL = 3.5
-"""A constant is not off by more than so many standard deviations of what is known of it: one in two thousand."""
 
 
 def explain(
@@ -82,7 +79,7 @@ def explain(
             break
         case = improved
         diagnosis = diagnose_base(case, noise, library, **question)
-    if not _one_effect_explains(diagnosis):
+    if not _one_effect_explains(diagnosis, case):
         explanation = with_all_effects_at_once(case, noise, diagnosis, progress)
         if explanation is not None:
             for step in explanation.steps if logged else explanation.steps[1:]:
@@ -110,12 +107,23 @@ def _select(
     return diagnosis, [diagnosis.base, *steps]
 
 
-def _one_effect_explains(diagnosis: BaseDiagnosis) -> bool:
-    """Whether the base, or the base and one effect, leaves only noise: such a model is exact."""
+def _one_effect_explains(diagnosis: BaseDiagnosis, case: Case) -> bool:
+    """Whether the base, or the base and one effect, leaves only noise: such a model is exact.
+
+    An effect counts that is the same as a constant (`equivalent_constant`). Any other does not where constants within
+    their uncertainty explain as well as it.
+    """
     base = diagnosis.base
     if consistent_with_noise(base.step.solution) and not significant(base.ranking, base.candidate_set.criteria):
         return True
-    return any(consistent_with_noise(fit) for _, fit in _with_one_effect(diagnosis))
+    if diagnosis.switched is not None and consistent_with_noise(diagnosis.switched[1].solution):
+        return True
+    refitted = [row for row in base.ranking if row.refit is not None and not row.failed]
+    explaining = [row.effect for row in refitted if row.refit is not None and consistent_with_noise(row.refit)]
+    known = base.candidate_set.problem.model.effects
+    if not explaining or any(known[effect].equivalent_constant for effect in explaining):
+        return bool(explaining)
+    return not constants_explain(base.candidate_set, base.step, case.constant_sd)
 
 
 def _with_one_effect(diagnosis: BaseDiagnosis) -> list[tuple[CandidateSet, Solution]]:
