@@ -208,7 +208,7 @@ def test_a_fit_goes_on_along_a_simulation_where_smoothed_states_lead_astray(
     """From smoothed states a step doubles the distance to the optimum at 0; from a simulation, which is `along`, it
     leads there. A simulation that is less likely, as where a random force acts, is not taken."""
 
-    def linearise(_: Search, point: SimpleNamespace, free: object = None, most: int = 0) -> SimpleNamespace:
+    def linearise(_: Search, point: SimpleNamespace, most: int = 0, data: object = None) -> SimpleNamespace:
         best = Optimum(0.0, np.array([-point.values[0]]), np.eye(1), (0,))
         return SimpleNamespace(point=point, optimum=best)
 
@@ -223,7 +223,7 @@ def test_a_fit_goes_on_along_a_simulation_where_smoothed_states_lead_astray(
 
     monkeypatch.setattr(Search, "linearise", linearise)
     monkeypatch.setattr(Search, "stepped", stepped)
-    monkeypatch.setattr(Search, "_is_likelier", lambda _, point, linear: simulation_is_likelier)
+    monkeypatch.setattr(Search, "_likelier_data", lambda _, point, linear: point if simulation_is_likelier else None)
     monkeypatch.setattr(Search, "along_simulation", lambda _, point: at(point.values, along=True))
     model = SimpleNamespace(candidates={}, probes={})
     search = Search(SimpleNamespace(), model, SimpleNamespace())  # type: ignore[arg-type]

@@ -174,9 +174,7 @@ class _Program:
             begins = gait.begins()
             ends = jnp.maximum(times - model.delay(), begins)
             at = begins + (ends[-1] - begins) * jnp.linspace(0.0, 1.0, INSTANTS if changing else 1)
-            choices = jax.vmap(
-                lambda t: jnp.concatenate([jnp.zeros(0, int), *map(jnp.ravel, trace.decided(t, leaves))])
-            )(at)
+            choices = jax.vmap(lambda t: _row(trace.decided(t, leaves)))(at)
             state = jax.tree.leaves(model.start((start[0], start[1], start[2])))
             residuals = list(trace.evaluated(self.residuals, None, leaves).values())
             return _Start(begins, ends, state, residuals, choices[0], (choices == choices[:1]).all(axis=0))
@@ -244,6 +242,7 @@ class _Program:
 
 
 def _row(parts: Sequence[Any]) -> Any:
+    """The numbers of `parts` as one array."""
     return jnp.concatenate([jnp.zeros(0, int), *map(jnp.ravel, parts)])
 
 

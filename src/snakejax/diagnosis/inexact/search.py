@@ -112,10 +112,12 @@ class Search(NamedTuple):
         high[constants] = np.minimum(high[constants], np.maximum(prior.mean[constants] + away, 0.0))
         return Subsets(gram, model.always, model.candidates, prior, low, high, self.criteria, self.trials)
 
-    def linearise(self, point: Point, free: np.ndarray | None = None, most: int = ROUGH) -> Linear:
+    def linearise(
+        self, point: Point, free: np.ndarray | None = None, most: int = ROUGH, data: SegmentData | None = None
+    ) -> Linear:
         """The problem linearised at `point`; its discrepancy is estimated in `most` iterations (0: kept) with the
-        parameters `free` (default: those of its effects)."""
-        data = self.data(point)
+        parameters `free` (default: those of its effects). `data`: the arrays at `point`, if they are known."""
+        data = self.data(point) if data is None else data
         free = self.model.free(point.effects) if free is None else free
         if most:
             discrepancy, _ = estimate_discrepancy(
@@ -203,20 +205,23 @@ class Search(NamedTuple):
             shortened = distance(further.optimum) < (1.0 - 0.5 * share) * before
             if not (shortened or simulated):
                 along = self.along_simulation(linear.point)
-                if self._is_likelier(along, linear):
-                    linear, share, simulated = self.linearise(along, most=most), 1.0, True
+                data = self._likelier_data(along, linear)
+                if data is not None:
+                    linear, share, simulated = self.linearise(along, most=most, data=data), 1.0, True
                     continue
             linear = further
             share = min(1.0, 2.0 * share) if shortened else max(0.5 * share, SMALLEST_SHARE)
         return linear
 
-    def _is_likelier(self, point: Point, linear: Linear) -> bool:
-        """Whether the recordings are likelier at `point` than at `linear`, under the same discrepancy."""
+    def _likelier_data(self, point: Point, linear: Linear) -> SegmentData | None:
+        """The arrays at `point`; None unless the recordings are likelier there than at `linear`, under one
+        discrepancy."""
         try:
             data = self.data(point)
         except FitError:
-            return False
-        return deviance(data, point.discrepancy) < deviance(linear.data, point.discrepancy)
+            return None
+        likelier = deviance(data, point.discrepancy) < deviance(linear.data, point.discrepancy)
+        return data if likelier else None
 
     def along_simulation(self, point: Point) -> Point:
         """`point` with the states of whole simulated runs.
