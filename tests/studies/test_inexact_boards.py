@@ -66,6 +66,7 @@ def recorded(effects: dict, seed: int, *, exact: bool = False) -> Case:
     return Case("planks", "planks", "free", stated, tuple(runs), said, {"planks": "0"})
 
 
+@pytest.mark.long
 def test_a_strong_effect_is_found_beside_what_no_model_holds() -> None:
     """Without limits to the constants, a board without mass, grip and inertia took the place of rolling resistance."""
     rolling = LIBRARY["rolling_resistance"](f=jnp.asarray(ROLLING))
@@ -82,6 +83,7 @@ def test_a_strong_effect_is_found_beside_what_no_model_holds() -> None:
     assert found.final.heldout.misfit < 0.01 * found.base.heldout.misfit
 
 
+@pytest.mark.long
 def test_the_error_falls_step_by_step() -> None:
     """A model that lacks some of the effects is fitted too: far from its optimum it erred more than the base."""
     hidden = {
@@ -111,6 +113,7 @@ class Ribs(Force):
         return X, Y, jnp.zeros_like(east)
 
 
+@pytest.mark.long
 def test_a_law_is_found_in_the_random_force() -> None:
     """A fiftieth of the forces that move the board, beside an effect that is fifty times as visible."""
     rolling = LIBRARY["rolling_resistance"](f=jnp.asarray(ROLLING))
