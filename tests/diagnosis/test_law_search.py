@@ -63,6 +63,8 @@ def law_of(*components: tuple[str, str]) -> Family:
     return Family("made", "", (), (Term("a", {}, components),))
 
 
+_SPEED = "sqrt(u ** 2 + w ** 2 + 2.5e-05)"
+_DISTANCE = "sqrt((x - 0.2) ** 2 + (y + 0.3) ** 2)"
 CASES = {
     "spring": (
         law_of(("east", "0.15 * (0.6 - x)"), ("north", "0.15 * (-0.7 - y)")),
@@ -88,6 +90,18 @@ CASES = {
         ),
     ),
     "cable": (law_of(("N", "-0.01 * rotor_angle")), ("N = a * rotor_angle", {"a": (-0.01, "N m/rad")})),
+    "cable dragged along": (
+        law_of(*((side, f"-0.1 * {v} / {_SPEED} * {_DISTANCE}") for side, v in (("X", "u"), ("Y", "w")))),
+        (
+            f"X = -a * u / {_SPEED} * sqrt((x - x0) ** 2 + (y - y0) ** 2); "
+            f"Y = -a * w / {_SPEED} * sqrt((x - x0) ** 2 + (y - y0) ** 2)",
+            {"a": (0.1, "N/m"), "x0": (0.2, "m"), "y0": (-0.3, "m")},
+        ),
+    ),
+    "friction that grows": (
+        law_of(*((side, f"-0.05 * {v} / {_SPEED} * time") for side, v in (("X", "u"), ("Y", "w")))),
+        (f"X = -b * u / {_SPEED} * time; Y = -b * w / {_SPEED} * time", {"b": (0.05, "N/s")}),
+    ),
 }
 
 

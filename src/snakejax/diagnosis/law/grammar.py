@@ -4,9 +4,10 @@ A law is a sum of terms, each an amplitude times a product of variables and one 
 
     action                         function of a variable v
     X, Y, N, a force in the world  v, v^2, v |v|, 1 and v, tanh(v / s), tanh((v / s)^2), a threshold, a bump,
-    drag, force across the         sin and cos of k v, a product of two variables,
-    velocity, yaw drag, grip,      in the plane a spring to a point, a plane, a bump, a threshold, the slope of a hill
-    push of a joint                (a push is a yaw moment, the acceleration of a joint times a function of that joint)
+    drag, dry friction, force      sin and cos of k v, a product of two variables,
+    across the velocity, yaw       in the plane a spring to a point, a plane, a bump, a threshold, the slope of a hill,
+    drag, grip, push of a joint    friction in proportion to the distance from a point (a cable dragged along)
+                                   (a push is a yaw moment, the acceleration of a joint times a function of that joint)
 """
 
 from collections.abc import Iterator, Sequence
@@ -22,6 +23,10 @@ NEWTON_METRE: Unit = {"N": 1, "m": 1}
 DAMPING: Unit = {"N": 1, "s": 1, "m": -1}
 YAW_DAMPING: Unit = {"N": 1, "m": 1, "s": 1}
 
+CREEP = 0.005
+"""Below this speed [m/s] dry friction falls to zero, as rolling resistance does, so that it can be integrated."""
+DRY_FRICTION = tuple((side, f"-{v} / sqrt(u ** 2 + w ** 2 + {CREEP**2})") for side, v in (("X", "u"), ("Y", "w")))
+
 
 class Action(NamedTuple):
     """What a term acts on: the multiplier of the function for each component, and the unit of the product."""
@@ -36,6 +41,7 @@ ACTIONS = (
     Action("Y", (("Y", ""),), NEWTON),
     Action("N", (("N", ""),), NEWTON_METRE),
     Action("drag", (("X", "-u"), ("Y", "-w")), DAMPING),
+    Action("friction", DRY_FRICTION, NEWTON),
     Action("across", (("X", "-w"), ("Y", "u")), DAMPING),
     Action("yaw_drag", (("N", "-r"),), YAW_DAMPING),
     Action("grip", (("grip", "-"),), {}),
@@ -234,6 +240,8 @@ def _in_the_plane(ranges: dict[str, Range]) -> Iterator[Family]:
     edge = "(0.5 + 0.5 * tanh((x * cos(q) + y * sin(q) - d) / s))"
     slope = (("east", f"(x - x0) * {bump}"), ("north", f"(y - y0) * {bump}"))
     yield Family("hill", "world", ("x", "y"), (Term("a", {"N": 1, "m": -1}, slope),), (*middles, s))
+    distance = tuple((side, f"{against} * sqrt((x - x0) ** 2 + (y - y0) ** 2)") for side, against in DRY_FRICTION)
+    yield Family("cable", "friction", ("x", "y"), (Term("a", {"N": 1, "m": -1}, distance),), tuple(middles))
     for action in ACTIONS:
         yield Family(
             "plane", action.name, ("x", "y"), tuple(_term(action, a, v, metre) for a, v in (("a", "x"), ("b", "y")))
