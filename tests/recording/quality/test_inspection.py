@@ -142,6 +142,19 @@ def test_stamps_that_stray_from_the_beat():
     assert steady(PoseSeries(t, pose)).times is t
 
 
+@pytest.mark.parametrize("turned", [1.0, 2.0, 4.0])
+def test_a_yaw_rate_that_changes_at_once_is_no_other_body(turned):
+    """A fast car whose wheel is turned from one frame to the next: its yaw rate jumps, its path does not."""
+    rng, step = np.random.default_rng(3), 0.02
+    t = step * np.arange(250)
+    rate = np.where(t < 2.11, turned, -turned) + 0.3 * np.sin(3 * t)
+    heading = step * np.cumsum(rate)
+    along = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    pose = np.concatenate([3.5 * step * np.cumsum(along, axis=0), heading[:, None]], axis=1)
+    track = PoseSeries(t, pose + rng.normal(size=pose.shape) * [2e-4, 2e-4, 5e-4])
+    assert {f.kind for f in find_defects(track)[1]} == {"not_at_rest"}
+
+
 def test_stamps_that_run_backwards_are_refused(clean):
     times = clean[0].times.copy()
     times[[300, 301]] = times[[301, 300]]

@@ -98,7 +98,8 @@ def bounds(track: PoseSeries, noise: Float[np.ndarray, "n c"], breaks: Int[np.nd
 
 class End(NamedTuple):
     """Where a stretch is and how fast, at one of its ends, or many side by side: `place` and `speed` (..., c), with
-    variances for unit noise, and the `noise` there; `known` is whether its frames show the speed at all.
+    variances for unit noise, and the `noise` there; `known` is whether its frames show the speed at all, `long` whether
+    the stretch has `LONG` frames.
     """
 
     time: np.ndarray
@@ -108,6 +109,7 @@ class End(NamedTuple):
     speed_variance: np.ndarray
     noise: Float[np.ndarray, "... c"]
     known: np.ndarray
+    long: np.ndarray
 
 
 def end_of(
@@ -125,5 +127,11 @@ def end_of(
         inverse = np.linalg.pinv(np.vander(track.times[near] - at, min(3, near.size), increasing=True))
         place, speed = (inverse @ track.pose[near])[:2]
         variances = (inverse[:2] ** 2).sum(axis=1)
-    sure = (variances[0], variances[1], noise[near].max(axis=0), np.asarray(near.size > 1))
+    sure = (
+        variances[0],
+        variances[1],
+        noise[near].max(axis=0),
+        np.asarray(near.size > 1),
+        np.asarray(frames.size >= LONG),
+    )
     return End(np.asarray(at), place, speed, *sure)

@@ -29,7 +29,7 @@ def jumps(track: PoseSeries) -> list[Finding]:
     chain = longest_chain(present)
     if chain.kept.all():
         return []
-    away = _groups(chain.kept)
+    away = [group for group in _groups(chain.kept) if not _on_either_side(present, chain, group)]
     for group in away:
         if (clock_jump := _clock_jump(track, present, chain, group)) is not None:
             return [clock_jump, *jumps(track.without(clock_jump.frames))]
@@ -59,6 +59,23 @@ def _off_path(track: PoseSeries, present: PoseSeries, chain: Chain, group: Int[n
 def _groups(kept: np.ndarray) -> list[Int[np.ndarray, " k"]]:
     off = np.flatnonzero(~kept)
     return np.split(off, np.flatnonzero(np.diff(off) > 1) + 1)
+
+
+def _on_either_side(present: PoseSeries, chain: Chain, group: Int[np.ndarray, " k"]) -> bool:
+    """Whether few frames go on as the board moved before, or come from where it moves after: it changed its speed or
+    yaw rate at once, and is on its path."""
+    kept = np.flatnonzero(chain.kept)
+    before, after = kept[kept < group[0]], kept[kept > group[-1]]
+    if group.size > FEW or not before.size or not after.size:
+        return False
+    ways = []
+    for frames, last in ((before, True), (after, False)):
+        end = end_of(present, chain.bounds.noise, frames, last)
+        late = (present.times[group] - end.time)[:, None]
+        sd = end.noise * np.sqrt(end.place_variance + 1 + late**2 * end.speed_variance)
+        swerve = chain.bounds.acceleration * late**2 / 2
+        ways.append((np.abs(present.pose[group] - end.place - late * end.speed) - swerve) / np.maximum(sd, 1e-12))
+    return bool((np.minimum(*ways) < SURE).all())
 
 
 def _within(present: PoseSeries, chain: Chain, group: Int[np.ndarray, " k"]) -> bool:

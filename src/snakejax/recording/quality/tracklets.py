@@ -54,6 +54,9 @@ def miss(before: End, after: End, limits: Bounds) -> Float[np.ndarray, "..."]:
     With speeds v at both ends and an acceleration within a, p_after - p_before - tau (v_before + v_after) / 2 stays
     within a tau^2 / 4; with one speed known, p_after - p_before - tau v within a tau^2 / 2; and the whole way within
     the greatest speed times tau. A stamp may be off by as much as it is off the beat of the frames.
+
+    From one frame to the next the heading of long stretches that meet in the plane only stays within the greatest yaw
+    rate times tau: a wheel that is turned at once changes the yaw rate at once, and another body would be elsewhere.
     """
     tau = np.asarray(after.time - before.time)
     late = np.abs(tau - limits.frame * np.maximum(1, np.round(tau / limits.frame)))[..., None] * limits.speed
@@ -71,6 +74,8 @@ def miss(before: End, after: End, limits: Bounds) -> Float[np.ndarray, "..."]:
     )
     far = (np.abs(displacement) - limits.speed * tau[..., None] - late) / (sd * np.sqrt(variance)[..., None])
     worst = np.maximum(bent, far)
+    at_once = (tau < 1.5 * limits.frame) & before.long & after.long
+    worst[..., 2] = np.where(at_once, far[..., 2], worst[..., 2])
     # Across a pause the heading may have turned either way.
     worst[..., 2] = np.where(tau > PAUSE, 0.0, worst[..., 2])
     return np.maximum(0.0, worst.max(axis=-1))
