@@ -21,6 +21,9 @@ REACH = 3.0
 LANES = 8
 """Double precision numbers in one vector register (512 bits); 8 derivative directions cost as much as fewer."""
 
+LARGEST_DERIVATIVE = 1e100
+"""By the start state, at 1 m: squared and summed it is still far from the largest number there is, 2e308."""
+
 
 class Variables(eqx.Module):
     """Decision variables: parameter values and start states, and the directions in which they may move.
@@ -110,7 +113,11 @@ def _run_residual(model, names, values, start, batch: Batch, accuracy: Accuracy)
 
 
 def linearise(model, at: Variables, batch: Batch, order, count, steps, start_steps, accuracy) -> Linearised:
-    """Residuals and Jacobian at `at` moved by `steps` (K,) and `start_steps` (R, S), for the runs `order[:count]`."""
+    """Residuals and Jacobian at `at` moved by `steps` (K,) and `start_steps` (R, S), for the runs `order[:count]`.
+
+    A run that depends on its start by more than `LARGEST_DERIVATIVE` runs away: its residuals are infinite, as those of
+    a run that cannot be simulated, so that no fit stops there.
+    """
     width, depth = at.directions.shape[0], at.start.shape[1]
     R, n = batch.times.shape
     domains = domains_of(model, at.names)
@@ -126,6 +133,7 @@ def linearise(model, at: Variables, batch: Batch, order, count, steps, start_ste
 
         zero = jnp.zeros(width + depth)
         r, J = jax.vmap(lambda d: jax.jvp(residual, (zero,), (d,)), out_axes=(None, -1))(jnp.eye(width + depth))
+        r = jnp.where((jnp.abs(J[..., width:]) > LARGEST_DERIVATIVE).any(), jnp.inf, r)
         return Linearised(linearised.residual.at[k].set(r), linearised.jacobian.at[k].set(J))
 
     empty = Linearised(jnp.zeros((R, n, 3)), jnp.zeros((R, n, 3, width + depth)))
