@@ -126,7 +126,9 @@ OF_FORCE = {
     "ground_slope",
 }
 NO_SUCH_THING = {"sleigh": {"com_offset", "clock_offset"}, "roller_racer": {"com_offset", "steering_drag"}}
-REFUSED = {(kind, "free"): NO_SUCH_THING.get(kind, set()) for kind in VEHICLES} | {
+# An axle with a tyre of its own, or wheels on one side alone: the tyre is the split.
+NO_SPLIT = {"car": {"grip_split"}, "sleigh": {"grip_split"}}
+REFUSED = {(kind, "free"): NO_SUCH_THING.get(kind, set()) | NO_SPLIT.get(kind, set()) for kind in VEHICLES} | {
     ("car", "ideal"): OF_GRIP | {"load_transfer", "combined_slip"},
     # The speeds of the wheels alone prescribe how it moves.
     ("skid_steer", "ideal"): OF_GRIP | OF_FORCE | {"inertia_factor"},

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from snakejax.core.parameter import Scalar, param
+from snakejax.dynamics.axle_tyres import FrontRear
 from snakejax.dynamics.contact import Motion, Wheel
 from snakejax.dynamics.ports import LateralForce, TyreModifier, TyreState
 from snakejax.dynamics.tyres import AbstractTyre, Bakker, Pacejka, Rayleigh
@@ -35,6 +36,13 @@ class GripSplit(LateralForce):
     def lateral(self, force: Scalar, wheel: Wheel, motion: Motion) -> Scalar:
         del motion
         return force * jnp.where(wheel.wheelset.place > 0, 1 + self.s, 1 - self.s)
+
+    def inapplicable_because(self, model: "Model") -> str | None:
+        if isinstance(model.tyre, FrontRear):
+            return "each axle has a tyre of its own, whose parameters say the same."
+        if len({wheelset.place > 0 for wheelset in model.board.wheelsets}) < 2:
+            return f"all wheels of a {model.board.noun} are on one side of its middle, so the tyre says the same."
+        return super().inapplicable_because(model)
 
 
 class StribeckGrip(LateralForce):
