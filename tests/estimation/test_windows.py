@@ -3,8 +3,9 @@
 import jax.numpy as jnp
 import numpy as np
 
-from snakejax import Gait, Run, Sines
-from snakejax.estimation.multiple_shooting import cut_windows
+from snakejax import Board, Gait, Model, Noise, Pacejka, Run, Sines
+from snakejax.dynamics.law import law
+from snakejax.estimation.multiple_shooting import Windows, cut_windows
 
 
 def test_windows_name_the_run_they_are_cut_from_whatever_it_is_called() -> None:
@@ -20,3 +21,20 @@ def test_windows_name_the_run_they_are_cut_from_whatever_it_is_called() -> None:
     np.testing.assert_array_equal(np.concatenate([w.times for w in windows]), times)
     assert all(w.wander is not None and w.wander.shape == (w.times.size, 3, 2) for w in windows)
     assert all(np.array_equal(w.payload, run.payload) for w in windows)
+
+
+def test_a_window_that_runs_away_from_its_start_ends_no_fit() -> None:
+    """A board at rest stays there, but a disturbance of its yaw rate grows by exp(a t / I): by 1e150 in 1.5 s."""
+    size = {"mass": 7.0, "inertia": 0.44, "rotor_inertia": 0.02, "wheelset_inertia": 0.001, "half_length": 0.25}
+    board = Board(**size, creep_speed=0.01)
+    push = law("N = a * r", {"a": "N m s/rad"}, {"a": 101.0})
+    model = Model(board, Pacejka(1e-3, 1.0, 1e-3, 0.0), "free").add(push=push)
+    times, still = jnp.arange(300.0) / 100, Gait(Sines.of([]), Sines.of([]))
+    run = Run("run", "train", times, jnp.zeros((300, 3)), still)
+    windows = Windows.of(
+        model, [run], Noise(jnp.asarray(1e-3), jnp.asarray(1e-3), source="made up"), ["tyre.D"], 1, 1.5
+    )
+    linearised = windows.at(windows.problem.values(), np.zeros_like(windows.problem.batch.start))
+    assert np.isinf(linearised.residual).all(axis=(1, 2)).any()
+    settled = windows.settle(windows.problem.values(), ["tyre.D"])
+    assert settled.values["tyre.D"] == 1e-3
