@@ -14,6 +14,7 @@ from snakejax.estimation.initialisation import (
     require_consistent_derivative,
     require_sensitive,
 )
+from snakejax.estimation.many_runs import MANY
 from snakejax.estimation.problem import Solution
 from snakejax.estimation.sensitivity import NEARER
 
@@ -84,12 +85,22 @@ def refit(
     if near:
         solution = candidate_set.problem.fit(known, free, train, start, crawl=CRAWL, most=30)
         if solution.misfit < candidate_set.criteria.far_misfit:
-            return solution
+            return _to_the_end(candidate_set, solution)
     first = candidate_set.problem.fit(known, free, train, until=4.0, enough=1.0, weak_prior=True, most=6)
     rough = candidate_set.problem.fit(first.values, free, train, first.start, enough=1.0, weak_prior=True, most=4)
     if not rough.misfit < candidate_set.criteria.far_misfit:
         return rough
-    return candidate_set.problem.fit(rough.values, free, train, rough.start, crawl=CRAWL, most=30)
+    solution = candidate_set.problem.fit(rough.values, free, train, rough.start, crawl=CRAWL, most=30)
+    return _to_the_end(candidate_set, solution)
+
+
+def _to_the_end(candidate_set: CandidateSet, solution: Solution) -> Solution:
+    """`solution` fitted on until it converges, where whole runs begin in motion: their first velocities and the tyre
+    trade off along a curved valley, in which 30 steps end far from the optimum."""
+    train, moving = candidate_set.train, np.asarray(candidate_set.problem.batch.free_start)[:, 3:].any(axis=1)
+    if len(train) > MANY or not moving[train].any():
+        return solution
+    return continue_to_convergence(candidate_set.problem, solution, train)
 
 
 def no_worse(candidate_set: CandidateSet, before: CandidateFit, effects: Sequence[str], refitted: Solution) -> Solution:
