@@ -97,8 +97,9 @@ def refit(
 def _to_the_end(candidate_set: CandidateSet, solution: Solution) -> Solution:
     """`solution` fitted on until it converges, where whole runs begin in motion: their first velocities and the tyre
     trade off along a curved valley, in which 30 steps end far from the optimum."""
-    train, moving = candidate_set.train, np.asarray(candidate_set.problem.batch.free_start)[:, 3:].any(axis=1)
-    if len(train) > MANY or not moving[train].any():
+    train = candidate_set.train
+    free_velocities = np.asarray(candidate_set.problem.batch.free_start)[train, 3:]
+    if len(train) > MANY or not free_velocities.any():
         return solution
     return continue_to_convergence(candidate_set.problem, solution, train)
 
