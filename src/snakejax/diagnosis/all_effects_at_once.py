@@ -28,9 +28,9 @@ def with_all_effects_at_once(
     """The explanation by effects that are chosen together, beside a random force, wandering noise and constants within
     their priors.
 
-    None where a model with a few effects is exact: a search on whole runs finds those. None where a law is lacking: its
-    force is too large for a random one, errors grow faster than a random force lets them, or the effects do not lower
-    the error.
+    None where a model with a few effects is exact: a search on whole runs finds those. None where a model of some of
+    the effects cannot be simulated. None where a law is lacking: its force is too large for a random one, errors grow
+    faster than a random force lets them, or the effects do not lower the error.
     """
     candidate_set = diagnosis.switched[0] if diagnosis.switched else diagnosis.base.candidate_set
     if not supports(candidate_set):
@@ -46,7 +46,10 @@ def with_all_effects_at_once(
         return None
     if assessment.inside("train") < criteria.least_inside:
         return None
-    steps = (diagnosis.base.record, *steps_of(assessment))
+    try:
+        steps = (diagnosis.base.record, *steps_of(assessment))
+    except FitError:
+        return None
     if not _lower_error(steps):
         return None
     if not exact:

@@ -199,7 +199,12 @@ class Search(NamedTuple):
             point = self.stepped(linear, share * linear.optimum.step, effects)
             if simulated:
                 point = self.along_simulation(point)
-            further = self.linearise(point, most=most)
+            try:
+                further = self.linearise(point, most=most)
+            except FitError:
+                # Too far: the step is taken again, half as long.
+                share = max(0.5 * share, SMALLEST_SHARE)
+                continue
             # In a linear problem a share of the step leaves 1 - share of the distance. Along a curved valley whole
             # steps go to and fro.
             shortened = distance(further.optimum) < (1.0 - 0.5 * share) * before
