@@ -4,8 +4,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from snakejax import Board, Gait, Model, Noise, Pacejka, Run, Sines
+from snakejax.dynamics.inputs import Inputs
 from snakejax.dynamics.law import law
+from snakejax.dynamics.sampled_signals import Held
+from snakejax.effects import library
 from snakejax.estimation.multiple_shooting import Windows, cut_windows
+from snakejax.simulation.integrate import simulate
+from snakejax.vehicles.skid_steer import HUSKY, SkidSteer
 
 
 def test_windows_name_the_run_they_are_cut_from_whatever_it_is_called() -> None:
@@ -38,3 +43,22 @@ def test_a_window_that_runs_away_from_its_start_ends_no_fit() -> None:
     assert np.isinf(linearised.residual).all(axis=(1, 2)).any()
     settled = windows.settle(windows.problem.values(), ["tyre.D"])
     assert settled.values["tyre.D"] == 1e-3
+
+
+def test_windows_of_held_commands_show_what_a_clock_offset_does() -> None:
+    """Windows begin at jumps of the commands: the derivative by a delay was 1e10 there. The change by the quotient is
+    compared with that of windows simulated 0.03 s later."""
+    rng, at = np.random.default_rng(4), np.arange(60) * 0.1
+    speeds = {side: np.repeat(rng.uniform(-2, 6, 10), 6) for side in ("left", "right")}
+    inputs = Inputs({side: Held.of(at, values) for side, values in speeds.items()})
+    robot = SkidSteer(**HUSKY)
+    model = Model(robot, Pacejka(5.0, 1.3, 60.0, 0.1), "free").add(clock=library(robot)["clock_offset"]())
+    times = jnp.arange(0.0, 6.0, 0.02)
+    pose = simulate(model, inputs, times, (0.0, 0.0, 0.3)).pose
+    noise = Noise(jnp.asarray(2e-4), jnp.asarray(5e-4), source="made up")
+    windows = Windows.of(model, [Run("run", "train", times, pose, inputs)], noise, ["effects.clock.T"], 1, 1.5)
+    values, start = windows.problem.values(), np.asarray(windows.problem.batch.start)
+    now, late = (windows.at(values | {"effects.clock.T": T}, start) for T in (0.0, 0.03))
+    change = late.residual - now.residual
+    off = change - 0.03 * now.jacobian[..., 0]
+    assert np.linalg.norm(off) < 0.3 * np.linalg.norm(change)

@@ -10,11 +10,15 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from snakejax.core.local_polynomials import local_cubics
+from snakejax.core.parameter import parameters
 from snakejax.dynamics.model import Model
+from snakejax.dynamics.ports import Delay
+from snakejax.dynamics.sampled_signals import Held
 from snakejax.recording.run import Noise, Run
 from snakejax.simulation.integrate import Accuracy
 
@@ -26,6 +30,8 @@ _linearise = eqx.filter_jit(linearise)
 
 ACCURACY = Accuracy(rtol=3e-6, atol=3e-8, max_steps=4000, derivative="forward")
 """With larger tolerances the derivatives of stiff windows are inaccurate; a window that needs more steps fails."""
+DELAY_STEP = 0.02
+"""Step [s] of the difference quotient by a delay: commands are held for some 0.1 s."""
 LENGTH = 1.5
 """Length of a window [s]: long enough for an effect to show, short enough for residuals nearly linear in it."""
 THREADS = 2
@@ -77,6 +83,16 @@ def initial_states(model: Model, run: Run) -> np.ndarray:
     return model.constraint.observed(times, pose, rate, model.board, lambda: model.commanded(run.gait))
 
 
+def _delays(problem: Problem) -> list[str]:
+    """The parameters that delay commands which are held between samples: the derivative by them says nothing of the
+    jumps of a command, and beside a jump it has no bound."""
+    is_held = lambda part: isinstance(part, Held)  # noqa: E731
+    if not any(map(is_held, jax.tree.leaves(problem.batch.gait, is_leaf=is_held))):
+        return []
+    late = {name: effect for name, effect in problem.model.effects.items() if isinstance(effect, Delay)}
+    return [f"effects.{name}.{part}" for name, effect in late.items() for part in parameters(effect)]
+
+
 def linearise_windows(
     problem: Problem,
     values: Mapping[str, float],
@@ -86,8 +102,30 @@ def linearise_windows(
 ) -> Linearised:
     """Residuals of `runs` and their Jacobian by the parameters `free` (default: all of `problem.names`) and the start.
 
-    `THREADS` threads share the runs.
+    The column of a parameter that delays held commands is the central difference quotient over `DELAY_STEP`.
     """
+    linearised = _derivatives(problem, values, start, runs, free)
+    columns = problem.names if free is None else free
+    for name in _delays(problem):
+        if name in columns:
+            late, early = (
+                _derivatives(problem, {**values, name: values[name] + step}, start, runs, ()).residual
+                for step in (DELAY_STEP, -DELAY_STEP)
+            )
+            with np.errstate(invalid="ignore"):
+                quotient = (late - early) / (2 * DELAY_STEP)
+            linearised.jacobian[..., list(columns).index(name)] = np.where(np.isfinite(quotient), quotient, 0.0)
+    return linearised
+
+
+def _derivatives(
+    problem: Problem,
+    values: Mapping[str, float],
+    start: np.ndarray,
+    runs: Sequence[int],
+    free: Sequence[str] | None = None,
+) -> Linearised:
+    """What `linearise_windows` returns, by forward derivatives alone; `THREADS` threads share the runs."""
     P = len(problem.names)
     width = P if free is None else problem.width
     directions = np.eye(P)

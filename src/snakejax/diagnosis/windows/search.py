@@ -16,6 +16,7 @@ from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
 from snakejax.dynamics.ports import Delay
 from snakejax.estimation.discrepancy.least_squares import Optimum, Prior
 from snakejax.estimation.initialisation import EARLY
+from snakejax.estimation.multiple_shooting import DELAY_STEP
 from snakejax.estimation.problem import Problem
 from snakejax.estimation.window_fit import (
     WindowPoint,
@@ -35,8 +36,6 @@ from ..selection.criteria import CRITERIA, SelectionCriteria
 
 KNOWN_WITHIN = 2.0
 """A constant of the vehicle is at most this many standard deviations from its stated value: 95% of what is known."""
-DELAY_STEP = 0.02
-"""Step [s] of the difference quotient by a delay: commands are held for some 0.1 s."""
 MOST_EFFECTS = 8
 """Effects that are added, at most."""
 MOST_REFITTED = 3
