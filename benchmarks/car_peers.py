@@ -65,7 +65,7 @@ from snakejax.estimation.prediction import (  # noqa: E402
 )
 from snakejax.recording.continuous import LEAST_MOTION, continuous_parts, mean_speed  # noqa: E402
 from snakejax.recording.run import Run  # noqa: E402
-from snakejax.vehicles.car import DEAD_BAND_WIDTH, Car  # noqa: E402
+from snakejax.vehicles.car import Car  # noqa: E402
 
 CAR = Path(__file__).resolve().parents[1] / "data" / "car"
 
@@ -205,18 +205,11 @@ class Sparse(Peer):
 def base_accelerations(board: Car, velocity: jax.Array, commands: jax.Array) -> jax.Array:
     """The rates (3,) of the base model, by the equations of `Sparse`."""
     delta, length = board.steering_ratio * commands[0], board.front + board.rear
-    force = drive_force(board, velocity[0], commands[1])
+    force = board.driving_force(velocity[0], commands[1])
     bend = jnp.tan(delta) / length
     pulled = force * (1 - board.front_drive + board.front_drive / jnp.cos(delta))
     ahead = pulled / (board.mass + (board.mass * board.rear**2 + board.inertia) * bend**2)
     return jnp.stack([ahead, board.rear * bend * ahead, bend * ahead])
-
-
-def drive_force(board: Car, u, throttle):
-    """The driving force F [N] of `Car`."""
-    w, c = DEAD_BAND_WIDTH, board.dead_band
-    pulled = w * (jax.nn.softplus((throttle - c) / w) - jax.nn.softplus((-throttle - c) / w))
-    return board.force_gain * pulled - board.speed_loss * u
 
 
 class Network(Peer):
@@ -257,7 +250,7 @@ class Network(Peer):
         car = eqx.tree_at(
             lambda b: (b.steering_ratio, b.force_gain, b.dead_band, b.speed_loss), board, (ratio, gain, band, loss)
         )
-        delta, force = ratio * commands[0], drive_force(car, velocity[0], commands[1])
+        delta, force = ratio * commands[0], car.driving_force(velocity[0], commands[1])
         along_f, across_f, along_r, across_r = wheel_speeds(board, velocity, delta)
         slip_f, slip_r = (
             jnp.arctan(y / jnp.sqrt(x**2 + SLOW**2)) for x, y in ((along_f, across_f), (along_r, across_r))

@@ -14,6 +14,7 @@ SCRATCH keeps cases and results, so that a stopped benchmark goes on.
 
 import argparse
 import json
+import sys
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -23,33 +24,27 @@ from snakejax import prepare_jax
 
 prepare_jax()
 
-import equinox as eqx  # noqa: E402
-import jax  # noqa: E402
-import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "tests"))
+
+from helpers.vehicle_case import HEADING, POSITION, Commands, Runs, poses, steps, write_case  # noqa: E402
 
 import snakejax as sj  # noqa: E402
 from snakejax.core.parameter import parameters  # noqa: E402
 from snakejax.dynamics.axle_tyres import FrontRear  # noqa: E402
-from snakejax.dynamics.inputs import Inputs  # noqa: E402
 from snakejax.dynamics.model import Model  # noqa: E402
-from snakejax.dynamics.sampled_signals import Held  # noqa: E402
-from snakejax.dynamics.signals import AbstractSignal, Sines  # noqa: E402
 from snakejax.dynamics.tyres import AbstractTyre, Pacejka  # noqa: E402
 from snakejax.effects import Effect, library  # noqa: E402
-from snakejax.recording.case_vehicle import key_of  # noqa: E402
-from snakejax.simulation.integrate import simulate  # noqa: E402
 from snakejax.vehicles.car import DART  # noqa: E402
 from snakejax.vehicles.registry import vehicle_class  # noqa: E402
 from snakejax.vehicles.roller_racer import ROLLER_RACER  # noqa: E402
 from snakejax.vehicles.skid_steer import HUSKY  # noqa: E402
 from snakejax.vehicles.sleigh import ICE_SLEIGH  # noqa: E402
 
-POSITION, HEADING = 2e-4, 5e-4
-"""Noise of a frame [m, rad]."""
-
-SECONDS, FRAME, COMMAND, LEVEL = 5.0, 0.02, 0.1, 0.7
-"""Length of a run, time between frames, between commands, and for which a commanded level lasts [s]."""
+SECONDS, LEVEL = 5.0, 0.7
+"""Length of a run, and for which a commanded level lasts [s]."""
 
 STRENGTH = 40.0
 """What the hidden effect moves, in multiples of the noise: some 8 mm and 20 mrad."""
@@ -59,16 +54,13 @@ NOISE_ALONE = 1.2
 
 RUNS = ("train-1", "train-2", "train-3", "train-4", "held-1", "held-2")
 
-Terms = Mapping[str, np.ndarray]
-
 
 class Vehicle(NamedTuple):
     """What is drawn for a kind of vehicle: its constants, a tyre, the commands of a run, and how a run starts."""
 
     constants: Mapping[str, float]
     tyre: Callable[[np.random.Generator], AbstractTyre]
-    commands: Callable[[np.random.Generator], Terms]
-    held: bool
+    commands: Callable[[np.random.Generator], Commands]
     start: Callable[[np.random.Generator], tuple[float, ...]]
 
 
@@ -79,8 +71,7 @@ def near(rng: np.random.Generator, *values: float) -> list[float]:
 
 def levels(rng: np.random.Generator, low: float, high: float) -> np.ndarray:
     """Commands that hold random levels for LEVEL seconds each."""
-    drawn = rng.uniform(low, high, int(SECONDS / LEVEL) + 2)
-    return drawn[(np.arange(round(SECONDS / COMMAND) + 1) * COMMAND / LEVEL).astype(int)]
+    return steps(rng, SECONDS, low, high, LEVEL)
 
 
 def resting(rng: np.random.Generator) -> tuple[float, ...]:
@@ -99,46 +90,22 @@ VEHICLES = {
         {**DART, "steering_ratio": 0.45, "force_gain": 22.0, "speed_loss": 1.5},
         lambda rng: FrontRear(Pacejka(*near(rng, 6, 1.4, 6, 0.1)), Pacejka(*near(rng, 8, 1.4, 5.5, 0.1))),
         lambda rng: {"steer": levels(rng, -0.6, 0.6), "drive": levels(rng, 0.03, 0.15)},
-        True,
         resting,
     ),
     "skid_steer": Vehicle(
         HUSKY,
         lambda rng: Pacejka(*near(rng, 5.0, 1.3, 60.0, 0.1)),
         lambda rng: {side: levels(rng, -2.0, 7.0) for side in ("left", "right")},
-        True,
         resting,
     ),
-    "sleigh": Vehicle(ICE_SLEIGH, lambda rng: Pacejka(*near(rng, 4.0, 1.3, 6.0, 0.1)), lambda _: {}, False, pushed),
+    "sleigh": Vehicle(ICE_SLEIGH, lambda rng: Pacejka(*near(rng, 4.0, 1.3, 6.0, 0.1)), lambda _: {}, pushed),
     "roller_racer": Vehicle(
         ROLLER_RACER,
         lambda rng: Pacejka(*near(rng, 5.0, 1.3, 4.0, 0.1)),
         lambda rng: {"handle": np.array([[rng.uniform(0.4, 0.9), rng.uniform(2.0, 4.0), rng.uniform(0, 6.3)]])},
-        False,
         resting,
     ),
 }
-
-
-def signals(terms: Terms, held: bool) -> Inputs:
-    """The inputs of a run."""
-
-    def signal(values: np.ndarray) -> AbstractSignal:
-        return Held.of(np.arange(len(values)) * COMMAND, values) if held else Sines.of(values)
-
-    return Inputs({name: signal(values) for name, values in terms.items()})
-
-
-def stack(*leaves: np.ndarray) -> np.ndarray:
-    """One leaf of the inputs of all runs."""
-    return np.stack(leaves)
-
-
-@eqx.filter_jit
-def simulated(model: Model, inputs: Inputs, starts: jax.Array) -> jax.Array:
-    """The poses of all runs."""
-    times = jnp.arange(0.0, SECONDS, FRAME)
-    return jax.vmap(lambda given, start: simulate(model, given, times, tuple(start)).pose)(inputs, starts)
 
 
 class Recording(NamedTuple):
@@ -146,19 +113,16 @@ class Recording(NamedTuple):
 
     vehicle: Vehicle
     model: Model
-    runs: dict[str, tuple[Terms, tuple[float, ...]]]
+    runs: Runs
 
-    def poses(self, **effects: Effect) -> dict[str, np.ndarray]:
-        """Of each run, without noise."""
-        inputs = [signals(terms, self.vehicle.held) for terms, _ in self.runs.values()]
-        model, stacked = jax.tree.map(jnp.asarray, (self.model.add(**effects), jax.tree.map(stack, *inputs)))
-        starts = jnp.asarray([start for _, start in self.runs.values()])
-        return dict(zip(self.runs, np.asarray(simulated(model, stacked, starts)), strict=True))
-
-    def moved(self, before: dict[str, np.ndarray], name: str, effect: Effect) -> float:
+    def moved(self, before: list[np.ndarray], name: str, effect: Effect) -> float:
         """What an effect moves, root mean square over the train runs, in multiples of the noise."""
-        after = self.poses(**{name: effect})
-        off = [(after[run] - before[run]) / [POSITION, POSITION, HEADING] for run in RUNS if run.startswith("train")]
+        after = poses(self.model.add(**{name: effect}), self.runs, SECONDS)
+        off = [
+            (then - now) / [POSITION, POSITION, HEADING]
+            for run, then, now in zip(RUNS, after, before, strict=True)
+            if run.startswith("train")
+        ]
         return float(np.sqrt(np.mean(np.square(off))))
 
 
@@ -180,7 +144,7 @@ def sized(made: Recording, name: str, rng: np.random.Generator) -> Effect | None
         f: rng.uniform(0.5, 1.0) * (1.0 if d.positive or d.low == 0 else rng.choice([-1.0, 1.0]))
         for f, d in fields.items()
     }
-    before = made.poses()
+    before = poses(made.model, made.runs, SECONDS)
 
     def effect(size: float) -> Effect | None:
         values = {f: size * t for f, t in towards.items()}
@@ -210,32 +174,6 @@ def hidden(kind: str, number: int, taken: set[str]) -> tuple[Recording, str, Eff
             if found is not None:
                 return made, name, found
     raise ValueError(f"no further effect of a {kind} shows")
-
-
-def write(made: Recording, name: str, effect: Effect, kind: str, number: int, folder: Path) -> None:
-    """The case folder, with truth.json beside it for whoever wants to look."""
-    rng = np.random.default_rng([19, 9, list(VEHICLES).index(kind), number])
-    folder.mkdir(parents=True)
-    units = {f: p.domain.unit for f, p in parameters(made.model.board).items()}
-    lines = ['skid = "free"', "[vehicle]", f'kind = "{kind}"']
-    lines += [f"{key_of(f, units[f])} = {float(value)!r}" for f, value in made.vehicle.constants.items()]
-    lines += ["[noise]", f"position_m = {POSITION}", f"heading_rad = {HEADING}"]
-    for run, pose in made.poses(**{name: effect}).items():
-        terms, start = made.runs[run]
-        noisy = pose + rng.normal(size=pose.shape) * [POSITION, POSITION, HEADING]
-        table = np.column_stack([np.arange(len(pose)) * FRAME, noisy])
-        np.savetxt(folder / f"{run}.csv", table, "%.7f", ",", header="time_s,x_m,y_m,heading_rad", comments="")
-        lines += ["[[runs]]", f'role = "{"train" if run.startswith("train") else "heldout"}"']
-        lines += [f'mocap = "{run}.csv"', 'object = "body"']
-        lines += ['start = "moving"'] if len(start) > 3 else []
-        if made.vehicle.held:
-            at = np.arange(len(next(iter(terms.values())))) * COMMAND
-            log, header = np.column_stack([at, *terms.values()]), ",".join(["time_s", *terms])
-            np.savetxt(folder / f"{run}-log.csv", log, "%.6f", ",", header=header, comments="")
-            lines += [f'joint_log = {{file = "{run}-log.csv", kind = "commanded", hold = true}}']
-        else:
-            lines += [f"{signal} = {values.tolist()!r}" for signal, values in terms.items()]
-    (folder / "case.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def judged(folder: Path, name: str, effect: Effect) -> dict[str, Any]:
@@ -288,7 +226,9 @@ def main() -> None:
             if not result.is_file():
                 made, name, effect = hidden(kind, number, {row["effect"] for row in results.get(kind, [])})
                 if not folder.is_dir():
-                    write(made, name, effect, kind, number, folder)
+                    seed = [19, 9, list(VEHICLES).index(kind), number]
+                    truth = made.model.add(**{name: effect})
+                    write_case(folder, kind, made.vehicle.constants, truth, made.runs, SECONDS, seed)
                 result.write_text(json.dumps(judged(folder, name, effect)), encoding="utf-8")
             results.setdefault(kind, []).append(json.loads(result.read_text(encoding="utf-8")))
         print(table({kind: results[kind]}), flush=True)

@@ -12,6 +12,8 @@ from .vehicle import AbstractVehicle, Wheelset
 
 SLIP_ANGLE = "snakejax_slip_angle"
 """Name of the slip angle in a trace."""
+STICKING_SPEED = 0.005
+"""Below this speed [m/s] dry friction falls to zero, so that it can be integrated."""
 
 
 @named(SLIP_ANGLE)

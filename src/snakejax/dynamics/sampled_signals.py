@@ -52,6 +52,15 @@ class Held(AbstractSignal):
         return Joint(value, jnp.zeros_like(value), jnp.zeros_like(value))
 
 
+def held_signals(inputs: Any) -> list[Held]:
+    """The commands held between samples that are anywhere in `inputs`."""
+
+    def is_held(part: Any) -> bool:
+        return isinstance(part, Held)
+
+    return list(filter(is_held, jax.tree.leaves(inputs, is_leaf=is_held)))
+
+
 class LaggedHold(AbstractSignal):
     """A `command` that is held, through a first-order lag: tau y' = command - y, exact between the samples.
 

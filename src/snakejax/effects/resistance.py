@@ -4,7 +4,7 @@ import jax.numpy as jnp
 
 from snakejax.core.fast_math import safe_norm
 from snakejax.core.parameter import Scalar, param
-from snakejax.dynamics.contact import Motion, Wheel, Wrench
+from snakejax.dynamics.contact import STICKING_SPEED, Motion, Wheel, Wrench
 from snakejax.dynamics.ports import Force, RollingForce
 
 
@@ -25,7 +25,7 @@ class LongitudinalSlip(RollingForce):
 
 
 class RollingResistance(RollingForce):
-    """Coulomb friction of rolling, smoothed below 5 mm/s so that it can be integrated.
+    """Coulomb friction of rolling, smoothed below `STICKING_SPEED` = 5 mm/s so that it can be integrated.
 
         T_i = f tanh(a_i / 5 mm/s)
 
@@ -37,7 +37,7 @@ class RollingResistance(RollingForce):
 
     def resistance(self, wheel: Wheel, motion: Motion) -> Scalar:
         del motion
-        return self.f * jnp.tanh(wheel.rolling / 0.005)
+        return self.f * jnp.tanh(wheel.rolling / STICKING_SPEED)
 
 
 class BodyDrag(Force):

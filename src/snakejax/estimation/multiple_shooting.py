@@ -10,7 +10,6 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -18,7 +17,7 @@ from snakejax.core.local_polynomials import local_cubics
 from snakejax.core.parameter import parameters
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.ports import Delay
-from snakejax.dynamics.sampled_signals import Held
+from snakejax.dynamics.sampled_signals import held_signals
 from snakejax.recording.run import Noise, Run
 from snakejax.simulation.integrate import Accuracy
 
@@ -86,8 +85,7 @@ def initial_states(model: Model, run: Run) -> np.ndarray:
 def _delays(problem: Problem) -> list[str]:
     """The parameters that delay commands which are held between samples: the derivative by them says nothing of the
     jumps of a command, and beside a jump it has no bound."""
-    is_held = lambda part: isinstance(part, Held)  # noqa: E731
-    if not any(map(is_held, jax.tree.leaves(problem.batch.gait, is_leaf=is_held))):
+    if not held_signals(problem.batch.gait):
         return []
     late = {name: effect for name, effect in problem.model.effects.items() if isinstance(effect, Delay)}
     return [f"effects.{name}.{part}" for name, effect in late.items() for part in parameters(effect)]
@@ -102,30 +100,9 @@ def linearise_windows(
 ) -> Linearised:
     """Residuals of `runs` and their Jacobian by the parameters `free` (default: all of `problem.names`) and the start.
 
-    The column of a parameter that delays held commands is the central difference quotient over `DELAY_STEP`.
+    `THREADS` threads share the runs. The column of a parameter that delays held commands is the central difference
+    quotient over `DELAY_STEP`.
     """
-    linearised = _derivatives(problem, values, start, runs, free)
-    columns = problem.names if free is None else free
-    for name in _delays(problem):
-        if name in columns:
-            late, early = (
-                _derivatives(problem, {**values, name: values[name] + step}, start, runs, ()).residual
-                for step in (DELAY_STEP, -DELAY_STEP)
-            )
-            with np.errstate(invalid="ignore"):
-                quotient = (late - early) / (2 * DELAY_STEP)
-            linearised.jacobian[..., list(columns).index(name)] = np.where(np.isfinite(quotient), quotient, 0.0)
-    return linearised
-
-
-def _derivatives(
-    problem: Problem,
-    values: Mapping[str, float],
-    start: np.ndarray,
-    runs: Sequence[int],
-    free: Sequence[str] | None = None,
-) -> Linearised:
-    """What `linearise_windows` returns, by forward derivatives alone; `THREADS` threads share the runs."""
     P = len(problem.names)
     width = P if free is None else problem.width
     directions = np.eye(P)
@@ -154,7 +131,17 @@ def _derivatives(
 
     with ThreadPoolExecutor(THREADS) as pool:
         shares = list(pool.map(linearise_share, [list(runs)[k::THREADS] for k in range(THREADS)]))
-    return widened(Linearised(*(sum(parts[1:], parts[0]) for parts in zip(*shares, strict=True))), width - kept, kept)
+    together = Linearised(*(sum(parts[1:], parts[0]) for parts in zip(*shares, strict=True)))
+    linearised, columns = widened(together, width - kept, kept), problem.names if free is None else free
+    for name in (delay for delay in _delays(problem) if delay in columns):
+        late, early = (
+            linearise_windows(problem, {**values, name: values[name] + step}, start, runs, ()).residual
+            for step in (DELAY_STEP, -DELAY_STEP)
+        )
+        with np.errstate(invalid="ignore"):
+            quotient = (late - early) / (2 * DELAY_STEP)
+        linearised.jacobian[..., list(columns).index(name)] = np.where(np.isfinite(quotient), quotient, 0.0)
+    return linearised
 
 
 class Windows(eqx.Module):

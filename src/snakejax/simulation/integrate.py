@@ -15,7 +15,7 @@ from snakejax.core.parameter import Scalar
 from snakejax.dynamics.contact import Motion
 from snakejax.dynamics.inputs import AbstractInputs
 from snakejax.dynamics.model import Model
-from snakejax.dynamics.sampled_signals import Held
+from snakejax.dynamics.sampled_signals import held_signals
 
 NUDGE = 1e-9
 """Speed [m/s, rad/s] of the finite difference that gives the stiffness at rest."""
@@ -122,7 +122,7 @@ def _integrate(
     else:
         controller, dt0 = diffrax.ConstantStepSize(), accuracy.step
     # A command that is held jumps at its samples: a step across a jump would have an error that no derivative shows.
-    jumps = [part.knots for part in jax.tree.leaves(gait, is_leaf=_is_held) if _is_held(part)]
+    jumps = [command.knots for command in held_signals(gait)]
     if jumps and accuracy.step is None:
         at = jnp.sort(jnp.concatenate(jumps))
         controller = diffrax.ClipStepSizeController(controller, jump_ts=jax.lax.stop_gradient(at))
@@ -140,10 +140,6 @@ def _integrate(
         throw=throw,
     )
     return jax.tree.unflatten(structure, solution.ys), solution.result == diffrax.RESULTS.successful
-
-
-def _is_held(part: Any) -> bool:
-    return isinstance(part, Held)
 
 
 @cache

@@ -78,11 +78,15 @@ class Car(RigidVehicle):
         other = self.rear if wheelset.axle == "front" else self.front
         return self.mass * GRAVITY * other / (self.front + self.rear)
 
+    def driving_force(self, u: Scalar, command: Scalar) -> Scalar:
+        """F [N] by the equation of the class, at the forward speed `u` [m/s]."""
+        w, c = DEAD_BAND_WIDTH, self.dead_band
+        pulled = w * (jax.nn.softplus((command - c) / w) - jax.nn.softplus((-command - c) / w))
+        return self.force_gain * pulled - self.speed_loss * u
+
     def drive(self, motion: Motion) -> tuple[Scalar, ...]:
         """F by the equation of the class, split between the axles [N]."""
-        command, w, c = motion.inputs["drive"].angle, DEAD_BAND_WIDTH, self.dead_band
-        pulled = w * (jax.nn.softplus((command - c) / w) - jax.nn.softplus((-command - c) / w))
-        force = self.force_gain * pulled - self.speed_loss * motion.u
+        force = self.driving_force(motion.u, motion.inputs["drive"].angle)
         return force * self.front_drive, force * (1 - self.front_drive)
 
     def with_centre_moved(self, ahead: Scalar) -> Self:

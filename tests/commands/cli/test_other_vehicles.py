@@ -35,7 +35,7 @@ def car(tmp_path_factory: pytest.TempPathFactory) -> Path:
     commands = ({"steer": steps(rng, 4, -0.6, 0.6), "drive": steps(rng, 4, 0.05, 0.2)} for _ in range(2))
     starts = ((0.0, 0.0, 0.0), (0.3, 0.1, 0.2, 1.0, 0.1, 0.3))
     runs = {name: (one, start) for name, one, start in zip(("train-1", "held-1"), commands, starts, strict=True)}
-    return write_case(tmp_path_factory.mktemp("cases") / "car", "car", {**DART, **TRUE}, truth, runs)
+    return write_case(tmp_path_factory.mktemp("cases") / "car", "car", {**DART, **TRUE}, truth, runs, 4.0)
 
 
 @pytest.mark.slow

@@ -16,6 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from snakejax.dynamics.contact import STICKING_SPEED
+
 from .units import Unit, power, product, unit_of
 
 NEWTON: Unit = {"N": 1}
@@ -23,9 +25,9 @@ NEWTON_METRE: Unit = {"N": 1, "m": 1}
 DAMPING: Unit = {"N": 1, "s": 1, "m": -1}
 YAW_DAMPING: Unit = {"N": 1, "m": 1, "s": 1}
 
-CREEP = 0.005
-"""Below this speed [m/s] dry friction falls to zero, as rolling resistance does, so that it can be integrated."""
-DRY_FRICTION = tuple((side, f"-{v} / sqrt(u ** 2 + w ** 2 + {CREEP**2})") for side, v in (("X", "u"), ("Y", "w")))
+DRY_FRICTION = tuple(
+    (side, f"-{v} / sqrt(u ** 2 + w ** 2 + {STICKING_SPEED**2})") for side, v in (("X", "u"), ("Y", "w"))
+)
 
 
 class Action(NamedTuple):

@@ -61,11 +61,16 @@ def _groups(kept: np.ndarray) -> list[Int[np.ndarray, " k"]]:
     return np.split(off, np.flatnonzero(np.diff(off) > 1) + 1)
 
 
+def _around(chain: Chain, group: Int[np.ndarray, " k"]) -> tuple[Int[np.ndarray, " b"], Int[np.ndarray, " a"]]:
+    """The frames of the board before and after `group`."""
+    kept = np.flatnonzero(chain.kept)
+    return kept[kept < group[0]], kept[kept > group[-1]]
+
+
 def _on_either_side(present: PoseSeries, chain: Chain, group: Int[np.ndarray, " k"]) -> bool:
     """Whether few frames go on as the board moved before, or come from where it moves after: it changed its speed or
     yaw rate at once, and is on its path."""
-    kept = np.flatnonzero(chain.kept)
-    before, after = kept[kept < group[0]], kept[kept > group[-1]]
+    before, after = _around(chain, group)
     if group.size > FEW or not before.size or not after.size:
         return False
     ways = []
@@ -86,8 +91,7 @@ def _within(present: PoseSeries, chain: Chain, group: Int[np.ndarray, " k"]) -> 
 
 def _path_between(present: PoseSeries, chain: Chain, group: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k 3"]:
     """Where the board was meanwhile: the cubic from how it left to how it came back, or its nearest place."""
-    kept = np.flatnonzero(chain.kept)
-    before, after = kept[kept < group[0]], kept[kept > group[-1]]
+    before, after = _around(chain, group)
     times = present.times[group]
     if not before.size or not after.size:
         nearest = present.pose[before[-1] if before.size else after[0]]
