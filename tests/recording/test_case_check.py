@@ -1,5 +1,7 @@
 """What is doubtful in a case: nothing in a clean one, and each fault by its own sentence."""
 
+import dataclasses
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -19,14 +21,15 @@ RATE, FRAMES = 100.0, 1201
 POSITION, HEADING = 4e-4, 2.5e-3
 
 
-def run(name="train-1", role="train", seed=0, noise=1.0, amplitude=0.9, moving=False):
-    """Twelve seconds of a board that starts from rest on a smooth curve, with white noise; its rotor rests."""
+def run(name="train-1", role="train", seed=0, noise=1.0, amplitude=0.9, moving=False, rotor=((1e-9, 29.0, 0.0),)):
+    """Twelve seconds of a board that starts from rest on a smooth curve, with white noise; its rotor hardly
+    turns."""
     t = np.arange(FRAMES) / RATE
     rng = np.random.default_rng(seed)
     wave = 1 - np.cos(0.5 * t)
     pose = np.stack([wave + 0.1 * np.sin(4 * t) ** 2, 0.5 * wave, 0.6 * np.sin(2 * t) ** 2], axis=1)
     pose += noise * rng.normal(size=pose.shape) * [POSITION, POSITION, HEADING]
-    gait = Gait(Tracked(Sines.of([[amplitude, 4.0, 0.0]]), 100.0, 10.0), Sines.of([]))
+    gait = Gait(Tracked(Sines.of([[amplitude, 4.0, 0.0]]), 100.0, 10.0), Sines.of(rotor))
     return Run(name, role, jnp.asarray(t), jnp.asarray(pose), gait, moving=moving)
 
 
@@ -233,3 +236,19 @@ def test_the_recordings_are_clean_and_their_noise_is_as_given(recordings):
         noise = estimate_noise(recorded.runs)
         assert float(noise.position) == pytest.approx(float(recorded.noise.position), rel=0.03)
         assert float(noise.heading) == pytest.approx(float(recorded.noise.heading), rel=0.05)
+
+
+def test_a_board_that_nothing_drives() -> None:
+    def boards(moving: bool) -> Case:
+        roles = {"train-1": "train", "train-2": "train", "heldout-1": "heldout"}
+        return case(*(run(*one, k, 1.0, 0.5 + k / 10, moving, ()) for k, one in enumerate(roles.items())))
+
+    (doubt,) = check(boards(moving=False))
+    assert doubt.what.startswith("nothing turns the rotor") and "--vehicle car" in doubt.remedy
+    assert check(boards(moving=True)) == []
+
+
+def test_a_creep_speed_above_that_of_the_board() -> None:
+    fast = dataclasses.replace(CLEAN, board=Board(**{**TABLE_II, "creep_speed": 10.0}))
+    (doubt,) = check(fast)
+    assert doubt.what.startswith("creep_speed_mps is 10, but the board moves at 0.")

@@ -77,16 +77,17 @@ def param(
     multiplicative: bool = False,
     typical: tuple[float, float] | None = None,
     default: float | None = dataclasses.MISSING,  # type: ignore[assignment]
+    meaning: str = "",
 ) -> Any:
     """A scalar field of an `equinox.Module` with a unit and a physical domain.
 
     **Arguments:** `unit`: SI, "-" for a pure number. `low`, `high`: closed bounds. `positive`: strictly above
     zero, and so multiplicative. `multiplicative`: a fit moves its logarithm. `typical`: see `Domain`. `default`: for an
-    effect, the neutral value.
+    effect, the neutral value. `meaning`: what the value is, for a template of case.toml.
     """
     domain = Domain(unit, low, high, positive, positive or multiplicative, typical)
     kwargs = {} if default is dataclasses.MISSING else {"default": default}
-    return eqx.field(converter=_as_scalar, metadata={"domain": domain}, **kwargs)
+    return eqx.field(converter=_as_scalar, metadata={"domain": domain, "meaning": meaning}, **kwargs)
 
 
 class Parametrised(eqx.Module):

@@ -23,7 +23,7 @@ class GroundSlope(Force):
     and y.
     """
 
-    description = "The ground is not level."
+    description = "The ground is not level: it rises by sx along x and by sy along y."
     sx: Scalar = param("rad", default=0.0)
     sy: Scalar = param("rad", default=0.0)
 

@@ -5,11 +5,15 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from snakejax.core.errors import InputError
+from snakejax.vehicles.snakeboard.board import Board
 
 from .case import load_case
+from .continuous import LEAST_MOTION, mean_speed
 from .quality import CONVENTIONS, Finding, Inspection, clocks, estimate_noise, farthest_steering, inspect
 from .run import Case, Run
 
@@ -117,10 +121,42 @@ def _whole(case: Case) -> Iterator[Issue]:
     train = case.having("train")
     if len(train) > 1 and all(bool(eqx.tree_equal(train[0].gait, run.gait)) for run in train[1:]):
         yield Issue(None, "the gait is the same in all train runs: few effects can be distinguished", "doubtful")
+    yield from _still_rotor(case)
+    yield from _creeping(case)
     for i, run in enumerate(case.runs):
         for other in case.runs[:i]:
             if run.pose.shape == other.pose.shape and np.array_equal(run.pose, other.pose, equal_nan=True):
                 yield Issue(run.name, f"holds the same poses as {other.name}", "doubtful")
+
+
+def _still_rotor(case: Case) -> Iterator[Issue]:
+    """A snakeboard whose rotor stands still in all runs, but which sets off from rest."""
+    if not isinstance(case.board, Board):
+        return
+    for run in case.runs:
+        signal, times = run.gait.signal("psi"), np.asarray(run.times)
+        turned = np.asarray(jax.vmap(signal.at)(jnp.asarray(times)).angle)
+        if run.moving or np.ptp(turned) > 0 or _speed(run) < LEAST_MOTION:
+            return
+    what = "nothing turns the rotor, and the board starts at rest, but it moves: what drives it?"
+    remedy = 'write psi; start = "moving" for a board that was pushed; `snakejax new --vehicle car` for another vehicle'
+    yield Issue(None, what, "doubtful", remedy)
+
+
+def _speed(run: Run) -> float:
+    present = _present(run)
+    return mean_speed(np.asarray(run.times)[present], np.asarray(run.pose)[present])
+
+
+def _creeping(case: Case) -> Iterator[Issue]:
+    """A speed below which slip is smoothed that the vehicle hardly ever exceeds; one that fits estimate may."""
+    creep = getattr(case.board, "creep_speed", None)
+    if creep is None or "creep_speed" in case.board.stated_sd:
+        return
+    fastest = max(map(_speed, case.runs))
+    if float(creep) > fastest:
+        what = f"creep_speed_mps is {float(creep):g}, but the {case.board.noun} moves at {fastest:.2g} m/s"
+        yield Issue(None, what, "doubtful", "take a small part of that speed: slip is smoothed below it")
 
 
 def _noise(case: Case) -> Iterator[Issue]:

@@ -52,12 +52,12 @@ def vehicle_template(kind: str) -> str:
         f'kind = "{kind}"',
     ]
     for key, field in fields_of(vehicle).items():
-        unit = field.metadata["domain"].unit
+        unit, meaning = field.metadata["domain"].unit, field.metadata["meaning"]
         if field.default is dataclasses.MISSING:
             example = f", such as {values[field.name]:g}"
-            lines.append(f"{key} = {_BLANK}".ljust(36) + f"# {_words(field.name)} [{unit}]{example}")
+            lines.append(f"{key} = {_BLANK}".ljust(36) + f"# {meaning} [{unit}]{example}")
         else:
-            lines.append(f"# {key} = {float(field.default)!r}".ljust(36) + f"# {_words(field.name)} [{unit}]")
+            lines.append(f"# {key} = {float(field.default)!r}".ljust(36) + f"# {meaning} [{unit}]")
     if "unknown" in {f.name for f in dataclasses.fields(vehicle)}:  # type: ignore[arg-type]
         lines.append(
             '# An optional one may be "estimate", or {estimate = 1.0} with a first guess: a fit finds it then.'
@@ -82,7 +82,3 @@ def _run(role: str, inputs: tuple[Input, ...]) -> str:
     columns = ", ".join(["time_s", *(one.name for one in inputs)])
     mapped = ", ".join(f'{one.name} = "{one.label}"' for one in inputs)
     return text + (_MORE.format(columns=columns, mapped=mapped) if role == "train" else "")
-
-
-def _words(field: str) -> str:
-    return field.replace("_", " ")

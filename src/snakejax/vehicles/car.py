@@ -38,16 +38,22 @@ class Car(RigidVehicle):
     relaxed: ClassVar[dict[str, str]] = {"ideal": "free"}
     stated_sd: ClassVar[dict[str, float]] = {"mass": 0.03, "front": 0.02, "rear": 0.02, "inertia": 0.2}
 
-    mass: Scalar = param("kg", positive=True)
-    inertia: Scalar = param("kg m^2", positive=True)
-    front: Scalar = param("m", positive=True)
-    rear: Scalar = param("m", positive=True)
-    creep_speed: Scalar = param("m/s", positive=True, default=0.05)
-    steering_ratio: Scalar = param("-", default=1.0)
-    force_gain: Scalar = param("N", positive=True, default=1.0)
-    dead_band: Scalar = param("-", low=0.0, default=0.0)
-    speed_loss: Scalar = param("N s/m", default=0.0)
-    front_drive: Scalar = param("-", low=0.0, high=1.0, default=0.0)
+    mass: Scalar = param("kg", positive=True, meaning="mass")
+    inertia: Scalar = param("kg m^2", positive=True, meaning="yaw inertia about the centre of mass")
+    front: Scalar = param("m", positive=True, meaning="distance of the front axle from the centre of mass")
+    rear: Scalar = param("m", positive=True, meaning="distance of the rear axle from the centre of mass")
+    creep_speed: Scalar = param("m/s", positive=True, default=0.05, meaning="speed below which slip is smoothed")
+    steering_ratio: Scalar = param(
+        "-", default=1.0, meaning="steering angle [rad] of the front wheels per unit of the command"
+    )
+    force_gain: Scalar = param(
+        "N", positive=True, default=1.0, meaning="driving force per unit of the command above the dead band"
+    )
+    dead_band: Scalar = param("-", low=0.0, default=0.0, meaning="command up to which nothing drives")
+    speed_loss: Scalar = param("N s/m", default=0.0, meaning="driving force lost per speed")
+    front_drive: Scalar = param(
+        "-", low=0.0, high=1.0, default=0.0, meaning="share of the driving force at the front wheels, 0 to 1"
+    )
     wheelsets: tuple[Wheelset, ...] = (
         Wheelset(1.0, 1.0, name="front", axle="front", steer="steer"),
         Wheelset(-1.0, 0.0, name="rear", axle="rear"),

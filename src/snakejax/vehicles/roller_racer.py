@@ -32,14 +32,14 @@ class RollerRacer(AbstractVehicle):
         "handle_inertia": 0.07,
     }
 
-    seat_mass: Scalar = param("kg", positive=True)
-    inertia: Scalar = param("kg m^2", positive=True)
-    handle_mass: Scalar = param("kg", low=0.0)
-    handle_inertia: Scalar = param("kg m^2", positive=True)
-    pivot: Scalar = param("m", positive=True)
-    front: Scalar = param("m", positive=True)
-    rear: Scalar = param("m", low=0.0, default=0.0)
-    creep_speed: Scalar = param("m/s", positive=True, default=0.01)
+    seat_mass: Scalar = param("kg", positive=True, meaning="mass of the seat")
+    inertia: Scalar = param("kg m^2", positive=True, meaning="yaw inertia of the seat about its centre of mass")
+    handle_mass: Scalar = param("kg", low=0.0, meaning="mass of the handlebar")
+    handle_inertia: Scalar = param("kg m^2", positive=True, meaning="yaw inertia of the handlebar about its axle")
+    pivot: Scalar = param("m", positive=True, meaning="distance of the joint ahead of the seat's centre of mass")
+    front: Scalar = param("m", positive=True, meaning="distance of the handlebar's axle from the joint")
+    rear: Scalar = param("m", low=0.0, default=0.0, meaning="distance of the seat's axle behind its centre of mass")
+    creep_speed: Scalar = param("m/s", positive=True, default=0.01, meaning="speed below which slip is smoothed")
     wheelsets: tuple[Wheelset, ...] = (
         Wheelset(1.0, name="front", axle="front"),
         Wheelset(-1.0, name="rear", axle="rear"),

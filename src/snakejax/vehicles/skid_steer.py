@@ -58,14 +58,18 @@ class SkidSteer(RigidVehicle):
         "creep_speed": 1.5,
     }
 
-    mass: Scalar = param("kg", positive=True)
-    inertia: Scalar = param("kg m^2", positive=True)
-    half_base: Scalar = param("m", positive=True)
-    half_track: Scalar = param("m", positive=True)
-    wheel_radius: Scalar = param("m", positive=True, default=1.0)
-    effective_track: Scalar = param("m", positive=True, default=1.0)
-    offset: Scalar = param("m", default=0.0)
-    creep_speed: Scalar = param("m/s", positive=True, default=0.05)
+    mass: Scalar = param("kg", positive=True, meaning="mass")
+    inertia: Scalar = param("kg m^2", positive=True, meaning="yaw inertia about the centre of mass")
+    half_base: Scalar = param("m", positive=True, meaning="half the distance between front and rear axles")
+    half_track: Scalar = param("m", positive=True, meaning="half the distance between left and right wheels")
+    wheel_radius: Scalar = param(
+        "m", positive=True, default=1.0, meaning="radius of the wheels; 1 if the inputs are rim speeds [m/s]"
+    )
+    effective_track: Scalar = param(
+        "m", positive=True, default=1.0, meaning="distance of the wheels as a differential drive, for skid = ideal"
+    )
+    offset: Scalar = param("m", default=0.0, meaning="distance of the centre of mass ahead of the middle")
+    creep_speed: Scalar = param("m/s", positive=True, default=0.05, meaning="speed below which slip is smoothed")
     wheelsets: tuple[Wheelset, ...] = (
         Wheelset(1.0, name="front_left", axle="front", drive="left"),
         Wheelset(1.0, name="front_right", axle="front", drive="right"),

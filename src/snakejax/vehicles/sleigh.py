@@ -24,10 +24,10 @@ class Sleigh(RigidVehicle):
     relaxed: ClassVar[dict[str, str]] = {"ideal": "free"}
     stated_sd: ClassVar[dict[str, float]] = {"mass": 0.03, "arm": 0.02, "inertia": 0.1}
 
-    mass: Scalar = param("kg", positive=True)
-    inertia: Scalar = param("kg m^2", positive=True)
-    arm: Scalar = param("m", low=0.0)
-    creep_speed: Scalar = param("m/s", positive=True, default=0.01)
+    mass: Scalar = param("kg", positive=True, meaning="mass")
+    inertia: Scalar = param("kg m^2", positive=True, meaning="yaw inertia about the centre of mass")
+    arm: Scalar = param("m", low=0.0, meaning="distance of the blade behind the centre of mass")
+    creep_speed: Scalar = param("m/s", positive=True, default=0.01, meaning="speed below which slip is smoothed")
     wheelsets: tuple[Wheelset, ...] = (Wheelset(-1.0, name="blade", axle="rear"),)
 
     @property

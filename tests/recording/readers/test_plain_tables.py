@@ -55,6 +55,8 @@ POSES = {
     "units in a row": rows(
         "time,x,y,yaw", ["s", *map(str, t)], ["mm", *(1e3 * x)], ["mm", *(1e3 * y)], ["rad", *M.heading]
     ),
+    "day, month and year": rows("time,x,y,yaw", [f"15/08/2022 09:42:{s:09.6f}" for s in t], x, y, M.heading),
+    "month, day and year": rows("time,x,y,yaw", [f"08/15/2022 09:42:{s:09.6f}" for s in t], x, y, M.heading),
     "one digit of an hour": rows(
         "time,x,y,yaw", [f"2022-08-15 9:59:{59 + s:09.6f}" for s in t], x, y, M.heading
     ).replace("9:59:59.59", "9:59:59.59"),
@@ -313,3 +315,17 @@ def test_the_real_lap_needs_no_map(realdata):
     np.testing.assert_array_equal(by_name.pose, by_map.pose)
     np.testing.assert_array_equal(by_name.times, by_map.times)
     assert len(by_name.times) == 7238 and pytest.approx(by_name.rate, rel=1e-3) == RATE
+
+
+@pytest.mark.parametrize("parts", ["rot_z", "rot_x,rot_y,rot_z", "q_x,q_y,q_z"])
+def test_a_part_of_a_quaternion_is_not_used_and_said(tmp_path, parts) -> None:
+    turns = [0.1 * t] * (parts.count(",") + 1)
+    capture = read_capture(put(tmp_path, rows(f"time,x,y,{parts}", t, x, y, *turns)))
+    assert f"columns that are not used: {parts.replace(',', ', ')}" in capture.notes
+    assert not capture.bodies
+
+
+def test_numbered_markers(tmp_path) -> None:
+    capture = read_capture(put(tmp_path, rows("time,x1,y1,z1,X_2,Y_2,Z_2", t, x, y, z, 1 + x, y, z)))
+    assert [*capture.markers] == ["1", "2"]
+    assert np.allclose(capture.markers["2"] - capture.markers["1"], [1, 0, 0])

@@ -309,6 +309,8 @@ def _report(title: str, boards: Any, curve: Any, names: list[str]) -> Any:
     if count > SHOWN:
         lines.append(Text(f"{SHOWN} of {count} boards; all are in the JSON, and with --out in sweep.nc."))
     lines.append(Text(boards.attrs["engine"]))
+    if matched:
+        lines.append(Text("mismatch: root mean square distance of both paths, as a share of the length of the path"))
     if curve is not None:
         (low, high), name = curve.fitted_range, names[0]
         powers = [f" {name}^4", f" {name}^3", f" {name}^2", f" {name}", ""]

@@ -90,30 +90,32 @@ def choose_law(
 
     Of laws that do not differ by `distinct_chi2` from the best, see `preferred`. There is none where no law predicts
     them better than `linear` does, each under its own random force, by more than the standard error; or where there is
-    but one run. Where laws of other variables do as well, it is not known which is right, and a wrong one may do harm
-    in other motions: there it must lower the error of whole runs left out too.
+    but one run. A law that raises the error of whole runs left out is not kept: beside a random force it may follow
+    each run better, and lead a simulation astray. Where laws of other variables do as well, it is not known which is
+    right, and a wrong one may do harm in other motions: there it must lower that error by more than the standard error.
     """
     if len(linear.gram) < 2:
         return LawChoice()
     search.progress(ProgressEvent(Phase.LAW_SEARCH))
     proposals = [one for weak in beside_weaker_force(search, linear) for one in proposed(search, weak)]
     ordered = distinct(proposals)
+    before, effects = left_out(search, linear), linear.point.effects
+    whole = before.mean_square(effects)
     fitted: list[tuple[Proposal, FittedLaw]] = []
     for one in near(ordered, search.criteria.distinct_chi2):
         search.progress(ProgressEvent(Phase.LAW_FIT, f"fitting {one.law.expression} together with a random force"))
         with_one = _fitted(case, noise, candidate_set, search, base, one)
-        if with_one is not None:
+        if with_one is not None and with_one.mean_square.sum() < whole.sum():
             fitted.append((one, with_one))
     if not fitted:
         return LawChoice()
     most = min(with_one.deviance.sum() for _, with_one in fitted) + search.criteria.distinct_chi2
     as_good = [pair for pair in fitted if pair[1].deviance.sum() < most]
     proposal, best = preferred(as_good)
-    before, effects = left_out(search, linear), linear.point.effects
     if not Gain(before.deviance(effects) - best.deviance, 0.0).predicts:
         return LawChoice()
     rivals = tuple(one.law.expression for one, _ in as_good if one.subject != proposal.subject)
-    if rivals and not Gain(before.mean_square(effects) - best.mean_square, 0.0).predicts:
+    if rivals and not Gain(whole - best.mean_square, 0.0).predicts:
         return LawChoice(undecided=(proposal.law.expression, *rivals))
     return LawChoice(best._replace(rivals=rivals))
 

@@ -22,12 +22,14 @@ class ScreenedCandidate(NamedTuple):
 
     All of it but the correction of the p-value for their number is a matter of the recordings, the base and this
     candidate: which others there are changes nothing. `start`: where the windows start with it, if they have settled.
+    `without`: the misfit without it, of what `misfit` is of.
     """
 
     score: ScoreTest
     values: dict[str, float]
     misfit: float
     start: np.ndarray | None = None
+    without: float | None = None
 
 
 def window_sensitivities(
@@ -59,7 +61,10 @@ def screen_candidates(
         values, start = settled.values, settled.start
     sensitivities = window_sensitivities(candidate_set, values, start, not near)
     scores, chi2, dof = tested(sensitivities, fitted, remaining, candidate_set.probes(), candidate_set.criteria)
-    screened = [ScreenedCandidate(s, {**values, **s.values}, max(chi2 - s.reduction, 0.0) / dof) for s in scores]
+    screened = [
+        ScreenedCandidate(s, {**values, **s.values}, max(chi2 - s.reduction, 0.0) / dof, without=chi2 / dof)
+        for s in scores
+    ]
     if near:
         return screened
     return _refit_on_windows(candidate_set, screened, _WindowBase(fitted, values, start, chi2 / dof, dof), progress)
@@ -112,7 +117,7 @@ def _refit_on_windows(
         scored = candidate.score._replace(values={n: best.values[n] for n in parts}, sd=sd)
         if effect in without_slope:
             scored = _surer(scored, base.misfit * base.dof - best.cost, misfit, len(screened), criteria)
-        return ScreenedCandidate(scored, best.values, misfit, best.start)
+        return ScreenedCandidate(scored, best.values, misfit, best.start, base.misfit)
 
     with ContextThreads(WORKERS) as pool:
         refitted = sorted(pool.map(settle, chosen), key=lambda c: c.misfit)

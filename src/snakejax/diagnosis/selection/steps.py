@@ -20,11 +20,12 @@ class CandidateScore:
     """One candidate effect, added to the model of a step: its test, and its refit if there was one.
 
     `p_value`: corrected for the number of candidates; `statistic`: that of the test. `predicted_misfit`: misfit by the
-    linear model, of whole runs or of short windows. `estimate`: expected values of its parameters by their short names;
-    `refit_estimate`: those of the refit; `detectable`: the smallest values that these runs would show.
-    `confusable_with`: the candidates that these runs cannot distinguish from it. `failed`: the refit ended with a
-    larger misfit than the model without the effect, so it means nothing. `converged`: whether the refit converged, None
-    without one. `of_measurement`: it is an error of the measurement, not of the vehicle.
+    linear model, of whole runs or of short windows; `misfit_without`: the same without the candidate. `estimate`:
+    expected values of its parameters by their short names; `refit_estimate`: those of the refit; `detectable`: the
+    smallest values that these runs would show. `confusable_with`: the candidates that these runs cannot distinguish
+    from it. `failed`: the refit ended with a larger misfit than the model without the effect, so it means nothing.
+    `converged`: whether the refit converged, None without one. `of_measurement`: it is an error of the measurement, not
+    of the vehicle.
     """
 
     effect: str
@@ -40,6 +41,7 @@ class CandidateScore:
     failed: bool = False
     converged: bool | None = None
     of_measurement: bool = False
+    misfit_without: float | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -87,6 +89,7 @@ class SelectionStep(Tabular):
             "p_value": [row.p_value for row in rows],
             "statistic": [row.statistic for row in rows],
             "predicted_misfit": [row.predicted_misfit for row in rows],
+            "misfit_without": [row.misfit_without for row in rows],
             "refit_misfit": [row.refit_misfit for row in rows],
             "converged": [row.converged for row in rows],
             "expected": [", ".join(f"{name} = {e}" for name, e in row.estimate.items()) for row in rows],

@@ -94,6 +94,7 @@ def _ranking(search: WindowSearch, state: SearchState, misfit: float) -> tuple[C
                 p_value=min(1.0, one.p_value * family),
                 statistic=max(0.0, float(one.gain.by_part.sum())),
                 predicted_misfit=misfit * optimum.chi2 / without,
+                misfit_without=misfit,
                 estimate=expected,
                 detectable={part: reach * (e.sd or 0.0) for part, e in expected.items()},
                 of_measurement=isinstance(known[one.effect], Sensor | Delay),

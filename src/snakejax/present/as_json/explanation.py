@@ -193,6 +193,7 @@ def ranked_json(row: CandidateScore) -> Json:
         "p_value": row.p_value,
         "statistic": row.statistic,
         "predicted_misfit": row.predicted_misfit,
+        "misfit_without": row.misfit_without,
         "refit_misfit": row.refit_misfit,
         "converged": row.converged,
         "estimate": _named(row.estimate),

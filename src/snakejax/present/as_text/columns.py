@@ -11,6 +11,11 @@ WINDOWS, PREDICTED, REFIT = "windows / noise", "predicted / noise", "refit / noi
 """The error that a candidate leaves: of short windows, of whole runs by the linear model, of whole runs refitted."""
 EXPECTED, DETECTS = "expected", "detects"
 
+ORDER = "The candidates that were refitted come first, by the error that is left; then the others, by their evidence."
+P_AND_SD = (
+    "p takes the error for noise; +- also counts how much the runs differ, so that a small p can go with a large +-."
+)
+
 
 def of_heldout(name: str) -> str:
     """The column `name` of held-out runs."""

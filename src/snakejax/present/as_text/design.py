@@ -47,6 +47,8 @@ def _tuned_for(over: str) -> str:
     return "tuned for the model itself" if over == "fit" else f"tuned for the {over} over samples of the fit"
 
 
+LIMIT_UNITS = {"": "rad", "rate": "rad/s", "acceleration": "rad/s^2"}
+"""Units of the limits of a joint, by the word behind the joint."""
 UNITS = {"distance": ("distance [m]", 1.0), "turn": ("turn [rad]", 1.0)}
 
 
@@ -62,10 +64,15 @@ def _spread(objective: str, spread: list[Any]) -> str:
     return f"mean {np.mean(spread):.4f}, from {min(spread):.4f} to {max(spread):.4f}"
 
 
+def limit_unit(name: str) -> str:
+    """The unit of a limit, such as `phi_rate`."""
+    return LIMIT_UNITS[name.rpartition("_")[2] if name.endswith(("_rate", "_acceleration")) else ""]
+
+
 def limits_line(tuned: TuningResult) -> str:
     """The largest angles and rates of a gait, and their limits."""
     parts = [
-        f"{name} {tuned.reached[name]:.4g} of {most:.4g}"
+        f"{name} {tuned.reached[name]:.4g} of {most:.4g} {limit_unit(name)}"
         for name, most in tuned.limits.named().items()
         if math.isfinite(most)
     ]

@@ -18,6 +18,8 @@ from .columns import (
     ERROR,
     EXPECTED,
     HEADING,
+    ORDER,
+    P_AND_SD,
     POSITION,
     PREDICTED,
     REFIT,
@@ -32,12 +34,12 @@ from .tables import (
     NOT_CONVERGED,
     add_row,
     error,
+    expected_text,
     named,
     not_converged_line,
     note,
     number,
     plain_table,
-    unit_text,
     values_text,
 )
 
@@ -169,18 +171,25 @@ def candidate_table(step: SelectionStep, most: int = 6, detectable: bool = False
         first = p_value, times_noise_text(ranked.predicted_misfit), refit
         rows = ranked.estimate or {"": None}
         for place, (name, estimate) in enumerate(rows.items()):
-            words = "" if estimate is None else f"{estimate.value:.2g} +- {estimate.sd:.1g}{unit_text(estimate)}"
+            words = "" if estimate is None else expected_text(estimate)
             detects = [f"{ranked.detectable[name]:.2g}" if name else ""] * detectable
             add_row(table, _label(ranked.effect, name), *(first if place == 0 else ("",) * 3), words, *detects)
     first = "predicted" if near else "over short windows"
     legend = "p: probability of such an improvement by chance, corrected for the number of candidates."
     legend += f" / noise: remaining error in multiples of the noise: {first}, and refitted on whole runs."
-    legend += " expected: the estimate on which p rests; a refit may give another."
+    if (without := misfit_without(step)) is not None:
+        legend += f" Without a candidate it is {times_noise_text(without)} {'on whole runs' if near else first}."
+    legend += f" {ORDER} {P_AND_SD} expected: by the linear model; a refit may give another."
     if detectable:
         legend += " detects: the smallest value that these runs would show if the model were otherwise right."
     if any(ranked.converged is False for ranked in step.ranking[:most]):
         legend += f" *: this refit {NOT_CONVERGED}; its error and values are uncertain."
     return Group(table, Text(legend, style="dim"))
+
+
+def misfit_without(step: SelectionStep) -> float | None:
+    """The misfit of the model of `step` where its candidates are compared; None where nobody knows it."""
+    return next((row.misfit_without for row in step.ranking if row.misfit_without is not None), None)
 
 
 def _steps(explanation: Explanation) -> Table:

@@ -101,9 +101,10 @@ def score_line(role: str, score: Score) -> str:
 
 
 def noise_line(noise: Noise) -> str:
-    """The noise as a sentence."""
+    """The noise as a sentence. Errors in position are of x and y together: sqrt(2) times that of each."""
     position, heading = 1e3 * float(noise.position), 1e3 * float(noise.heading)
-    return f"noise of one sample {position:.3g} mm and {heading:.3g} mrad ({noise.source})"
+    both = f"{position:.3g} mm in x and in y ({2**0.5 * position:.3g} mm together)"
+    return f"noise of one sample {both} and {heading:.3g} mrad ({noise.source})"
 
 
 def fit_report(case: Case, noise: Noise, fit: Fit, intervals: Mapping[str, Interval] | None = None) -> RenderableType:

@@ -84,6 +84,11 @@ def unit_text(estimate: Estimate) -> str:
     return "" if estimate.unit == "-" else f" {estimate.unit}"
 
 
+def expected_text(estimate: Estimate) -> str:
+    """A value rounded by its standard error, with both and the unit: `0.0047 +- 0.0014 m`."""
+    return f"{number(estimate.value, estimate.sd)} +- {error(estimate.sd)}{unit_text(estimate)}"
+
+
 def with_unit(name: str, unit: str) -> str:
     """The title of a column, `D [N]`; the name alone for a pure number."""
     return name if unit in ("-", "1", "") else f"{name} [{unit}]"

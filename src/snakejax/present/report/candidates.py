@@ -1,12 +1,13 @@
 """The section of the effects that were tried: what each promised, what its refit left, and why it was not taken."""
 
 from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from ..as_json.values import Json
-from ..as_text.columns import DETECTS, EXPECTED, FALL, PREDICTED, REFIT, WINDOWS
-from ..as_text.errors import times_noise
+from ..as_text.columns import DETECTS, EXPECTED, FALL, ORDER, P_AND_SD, PREDICTED, REFIT, WINDOWS
+from ..as_text.errors import times_noise, times_noise_text
 from ..as_text.tables import NOT_CONVERGED, error, number
 from ..style import BASE, TRAIN
 from ..views import doubt
@@ -22,6 +23,14 @@ AROUND_NOISE = 0.5, 2.0
 """The smallest range of an error axis, so that scatter about 1 does not look large."""
 
 
+class Refusal(NamedTuple):
+    """What decides why a refitted candidate was not taken: the `least` misfit of all refits, and whether the command
+    `adds` any."""
+
+    least: float | None
+    adds: bool
+
+
 def candidates(result: Json, words: Words, near: Sequence[bool]) -> Section:
     """The candidates beside each step, best first; `near`: of which steps predictions are of whole runs."""
     steps, tables = [("base", "", result), *_later(result)], []
@@ -30,16 +39,19 @@ def candidates(result: Json, words: Words, near: Sequence[bool]) -> Section:
         taken = effect if change == "added" else None
         columns = ("candidate", "", "#p", f"#{FALL}", f"#{PREDICTED if near[k] else WINDOWS}", f"#{REFIT}")
         heads = (*columns, "", f"#{EXPECTED}", "#+-", f"#{DETECTS}")
-        rows = [row for r, one in enumerate(step["ranking"]) for row in _rows(one, f"{key}ranking.{r}", taken)]
+        least = min((one["refit_misfit"] for one in step["ranking"] if one["refit_misfit"] is not None), default=None)
+        why = Refusal(least, "steps" in result)
+        rows = [row for r, one in enumerate(step["ranking"]) for row in _rows(one, f"{key}ranking.{r}", taken, why)]
         if rows:
-            tables.append(table(f"Candidates added to {name}, best first", heads, rows))
+            tables.append(table(f"Candidates added to {name}", heads, rows))
     best = [one["effect"] for one in result["ranking"][:1]]
     sentences = plain_sentences(
         "Each effect is added to the model of a step and tested. p is corrected for the number of candidates. The fall"
         " of chi^2 is that of the linear model of the test. An error of windows is that of short windows, each with a"
         " start of its own; it cannot be compared with that of a refit, which is of whole runs. The expected value does"
         " not depend on the other candidates; a refit may give another. Detects: the smallest value that these runs"
-        " would show if the model were otherwise right.",
+        f" would show if the model were otherwise right. {ORDER} {P_AND_SD}",
+        _without(result["ranking"], near[0]),
         *(f"The best candidate is {name}: {words(name)}" for name in best),
         *_twins(result["ranking"]),
     )
@@ -50,16 +62,25 @@ def candidates(result: Json, words: Words, near: Sequence[bool]) -> Section:
     return Section("ranking", "Effects tried and refused", sentences, charts, tuple(tables))
 
 
+def _without(ranking: Sequence[Json], near: bool) -> str | None:
+    """The error of the base itself where its candidates are compared."""
+    known = [one["misfit_without"] for one in ranking if one["misfit_without"] is not None]
+    if not known:
+        return None
+    what = "whole runs by the linear model" if near else "short windows"
+    return f"Without any candidate the error of {what} is {times_noise_text(known[0])} times the noise."
+
+
 def _later(result: Json) -> Iterator[tuple[str, str, Json]]:
     for k, step in enumerate(result.get("steps", ())):
         yield next(f"{word} {step[word]}" for word in ("added", "dropped") if word in step), f"steps.{k}.", step
 
 
-def _rows(one: Json, key: str, taken: str | None) -> Iterator[Row]:
+def _rows(one: Json, key: str, taken: str | None, why: Refusal) -> Iterator[Row]:
     """A row for each parameter of a candidate."""
     p, fall = one["p_value"], one["statistic"]
     first = [
-        _outcome(one, taken),
+        _outcome(one, taken, why),
         Cell("" if p is None else f"{p:.1g}" if p > 0 else "< 1e-300", f"{key}.p_value"),
         Cell("" if fall is None else f"{fall:.3g}", f"{key}.statistic"),
         root(one["predicted_misfit"], f"{key}.predicted_misfit"),
@@ -78,7 +99,7 @@ def _rows(one: Json, key: str, taken: str | None) -> Iterator[Row]:
         yield Row(cells(*head, name, *value), strong=place == 0 and one["effect"] == taken)
 
 
-def _outcome(one: Json, taken: str | None) -> str:
+def _outcome(one: Json, taken: str | None, why: Refusal) -> str:
     if one["effect"] == taken:
         return "taken"
     if one["p_value"] is not None and one["p_value"] >= SIGNIFICANT:
@@ -87,7 +108,11 @@ def _outcome(one: Json, taken: str | None) -> str:
         return "refit failed"
     if one["refit_misfit"] is None:
         return "not refitted: others lower the error more"
-    return "refused: more than noise remains, or another leaves less"
+    if not why.adds:
+        return "refitted"
+    if why.least is not None and one["refit_misfit"] > why.least:
+        return "refused: another leaves less"
+    return "refused: more than noise remains"
 
 
 def _twins(ranked: Sequence[Json]) -> Iterator[str]:
@@ -110,8 +135,10 @@ def _expected(ranking: Sequence[Json], near: bool) -> Iterator[Chart]:
         return
     trace = _marks("expected", "circle-open", [r["effect"] for r in shown], [r["predicted_misfit"] for r in shown])
     title, what = (PREDICTED, "whole runs") if near else (WINDOWS, "short windows")
-    label = f"The error of {what} that each candidate would leave, in multiples of the noise."
-    yield Chart("expected", label, (trace,), _layout(title, [trace], ()), 110 + 20 * len(shown))
+    without = times_noise(shown[0]["misfit_without"])
+    label = f"The error of {what} that each candidate would leave, and that of the base, in multiples of the noise."
+    layout = _layout(title, [trace], () if without is None else (without,))
+    yield Chart("expected", label, (trace,), layout, 110 + 20 * len(shown))
 
 
 def _refitted(result: Json) -> Iterator[Chart]:

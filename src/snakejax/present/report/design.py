@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..as_json.values import Json
+from ..as_text.design import limit_unit
 from ..as_text.errors import OBJECTIVE_UNITS, POSE_ERRORS, missed_text, target_pose
 from ..as_text.tables import number
 from ..style import BASE, HELDOUT, MEASURED, TRAIN, LineStyle
@@ -18,8 +19,6 @@ ENOUGH = 0.95
 """Probability of the right answer for which the repeats of a run are counted."""
 STROKES, STROKE = 12, 0.05
 """Strokes along a path that show the heading, and their length as a share of the larger side of the picture."""
-UNITS = {"": "rad", "rate": "rad/s", "acceleration": "rad/s^2"}
-"""Units of the limits of a joint, by the word behind the joint."""
 
 
 def tune_page(result: Json) -> str:
@@ -89,8 +88,17 @@ def _gait(result: Json) -> Section:
             ends = {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "line": {"dash": "dot", "width": 1.5}}
             layout["shapes"] = [{**ends, "y0": sign * most, "y1": sign * most} for sign in (-1, 1)]
         charts.append(Chart(joint, f"The {words} angle over time.", tuple(drawn), layout, 260))
-    text = "The board starts at rest. Short strokes show its heading; dotted lines are the limits of the joints."
+    text = (
+        "The board starts at rest. Short strokes show its heading; dotted lines are the limits of the joints."
+        f" It ends at {'; '.join(_end(label, path) for _, label, _, path in sides)}."
+    )
     return Section("gait", "The gait", (text,), tuple(charts))
+
+
+def _end(label: str, path: Json) -> str:
+    """Where a path ends."""
+    x, y, heading = (float(path[name][-1]) for name in POSE)
+    return f"x = {x:.3f} m, y = {y:.3f} m, heading = {heading:.3f} rad ({label})"
 
 
 def _strokes(pose: Sequence[Sequence[float]], length: float, look: LineStyle) -> Trace:
@@ -103,11 +111,6 @@ def _strokes(pose: Sequence[Sequence[float]], length: float, look: LineStyle) ->
     return line(
         ends[0], ends[1], "heading", LineStyle(look.colour, "solid"), width=1.5, showlegend=False, hoverinfo="skip"
     )
-
-
-def _limit_unit(name: str) -> str:
-    """The unit of a limit, such as `phi_rate`."""
-    return UNITS[name.partition("_")[2]]
 
 
 def _numbers(result: Json) -> Section:
@@ -123,7 +126,7 @@ def _numbers(result: Json) -> Section:
                 name,
                 Cell(number(value), f"limits.{name}"),
                 Cell(number(result["reached"][name]), f"reached.{name}"),
-                _limit_unit(name),
+                limit_unit(name),
             )
         )
         for name, value in result["limits"].items()

@@ -18,7 +18,8 @@ def paths(models: Sequence[ModelView]) -> Section:
     """Measured and modelled paths."""
     text = (
         "The broad grey line is the measured path, with gaps where frames were lost; a cross is its first frame."
-        " Thin lines are the models. Axes are in metres and equally long."
+        " Thin lines are the models. The start pose is fitted too, so a model that lacks something may not begin at the"
+        " cross. Axes are in metres and equally long."
     )
     return Section("paths", "Paths, measured and modelled", (text,), tuple(figures.paths(models)), wide=False)
 
@@ -98,13 +99,12 @@ def _scaled(value: float | None, key: str) -> Cell:
 
 
 def failing(models: Sequence[ModelView], comparison: Json | None = None) -> Section:
-    """Where the models fail: over time, and of a single model over gait phase, slip and speed."""
-    charts, text = figures.failing(models), "The error in each second of each run. An error of 1 is noise."
-    if len(models) == 1:
-        charts.append(figures.against(models, "gait_phase", "gait phase [rad]", circular=True))
-        charts.append(figures.against(models, "slip", "slip angle [rad]"))
-        charts.append(figures.against(models, "speed", "speed [m/s]"))
-        text = "The error in each second of each run, then over gait phase, slip and speed. An error of 1 is noise."
+    """Where the models fail: over time, and over gait phase, slip and speed."""
+    charts = figures.failing(models)
+    charts.append(figures.against(models, "gait_phase", "gait phase [rad]", circular=True))
+    charts.append(figures.against(models, "slip", "slip angle [rad]"))
+    charts.append(figures.against(models, "speed", "speed [m/s]"))
+    text = "The error in each second of each run, then over gait phase, slip and speed. An error of 1 is noise."
     return Section("failing", "Where the model fails", (text,), tuple(charts), tuple(_comparison(comparison)))
 
 

@@ -18,7 +18,7 @@ LATEST = 1.0
 """Clocks that jump by more than this [s] are not distinguished from other bodies."""
 SHORTEST = 1.0
 """A run cut off at a jump of its clock is worth fitting from this length [s] on."""
-UNLIKE = "they count as lost; window_s selects the good part of a run"
+UNLIKE = "such frames count as lost; window_s selects the good part of a run"
 
 
 def jumps(track: PoseSeries) -> list[Finding]:

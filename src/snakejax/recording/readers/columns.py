@@ -68,7 +68,10 @@ def columns_of(names: Sequence[str], units: Sequence[str], hints: FileAnnotation
     clock = clocks.get("") or (next(iter(clocks.values())) if len(clocks) == 1 else None)
     if clock is None or not placed:
         raise _unclear(names, clock is not None, bool(placed), where)
-    used = [c for c in used if c.object in placed or c.role == "object"]
+    turned = [c.object for c in used if c.role in TURN]
+    # What is named as a part of a quaternion is not used without the other parts: it may be another angle.
+    whole = {name for name in turned if turned.count(name) == len(TURN)}
+    used = [c for c in used if (c.object in placed or c.role == "object") and (c.role not in TURN or c.object in whole)]
     fraction = [c for c in by_name if (c.object, c.role) == (clock.object, FRACTION) and clock.unit == "s"]
     return [clock._replace(object=""), *fraction, *used]
 

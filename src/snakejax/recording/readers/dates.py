@@ -1,4 +1,5 @@
-"""Dates with the time of day, or that time alone, as clocks of plain tables: 2026-01-31T12:00:00.5, 9:05:00.25."""
+"""Dates with the time of day, or that time alone, as clocks of plain tables: 2026-01-31T12:00:00.5, 01/31/2026
+12:00:00, 9:05:00.25."""
 
 import re
 from collections.abc import Sequence
@@ -14,6 +15,8 @@ from .numeric_table import Rows
 DATE = re.compile(
     r"(\d{4})[-/](\d{1,2})[-/](\d{1,2})[T ] ?(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)? ?(Z|[+-]\d\d:?\d\d)?"
 )
+YEAR_LAST = re.compile(r"(\d{1,2})[./-](\d{1,2})[./-](\d{4})(?=[T ])")
+"""08/15/2022, the month first unless only the day can be. Which it is matters to no recording within one day."""
 TIME_OF_DAY = re.compile(r"(\d{1,2}):(\d{2}):(\d{2})(?:[.,](\d{1,9}))?")
 DAY = 86400.0
 """Seconds of a day."""
@@ -21,7 +24,7 @@ DAY = 86400.0
 
 def is_date(cell: str) -> bool:
     """Whether the cell holds a date with the time of day, or the time of day alone with its seconds."""
-    return bool(DATE.match(cell) or TIME_OF_DAY.fullmatch(cell.strip()))
+    return bool(DATE.match(_year_first(cell.strip())) or TIME_OF_DAY.fullmatch(cell.strip()))
 
 
 def seconds(dates: Sequence[str], rows: Rows) -> Float[np.ndarray, " n"]:
@@ -34,7 +37,7 @@ def seconds(dates: Sequence[str], rows: Rows) -> Float[np.ndarray, " n"]:
     zones = set()
     undated = TIME_OF_DAY.fullmatch(dates[0].strip()) is not None
     for row, date in enumerate(dates):
-        dated = f"1970-01-01 {date.strip()}" if undated else date.strip()
+        dated = f"1970-01-01 {date.strip()}" if undated else _year_first(date.strip())
         if (match := DATE.fullmatch(dated)) is None:
             raise _complaint(date, rows.where(row))
         year, month, day, hour, minute, second, fraction, zone = match.groups(default="")
@@ -52,6 +55,15 @@ def seconds(dates: Sequence[str], rows: Rows) -> Float[np.ndarray, " n"]:
         return times
     midnights = np.diff(times, prepend=times[:1]) < -DAY / 2
     return times + DAY * np.cumsum(midnights)
+
+
+def _year_first(date: str) -> str:
+    match = YEAR_LAST.match(date)
+    if match is None:
+        return date
+    first, second, year = map(int, match.groups())
+    month, day = (second, first) if first > 12 else (first, second)
+    return f"{year}-{month:02d}-{day:02d}{date[match.end() :]}"
 
 
 def _is_date(date: str) -> bool:

@@ -85,6 +85,8 @@ _LETTER = re.compile(r"[ _-]?[vwdaufgmVFM][ _-]?")
 _UNIT = re.compile(rf"(?:[ _]|(?P<open>[\[(]))\s*(?P<unit>{'|'.join(map(re.escape, UNIT_OF))})(?(open)[\])])$", re.I)
 _SPLIT = re.compile(r"[\s_.:/\-\[\]()|,;%]+")
 _CAMEL = re.compile(r"(?P<rest>.*?[a-z0-9_])(?P<role>[XYZW])")
+_NUMBERED = re.compile(r"(?P<axis>[xyz])_?(?P<number>\d+)", re.I)
+"""The coordinates of numbered markers: x1, y1, z1, x2."""
 _INDEX = re.compile(r"(?P<rest>.+)\[(?P<index>[0-3])\]")
 
 
@@ -114,6 +116,8 @@ def named(name: str) -> Named | None:
     if match := _INDEX.fullmatch(text):
         axis = int(match["index"])
         return _of(match["rest"], AXES[axis], unit) if axis < 3 else None
+    if match := _NUMBERED.fullmatch(text):
+        return Named(match["number"], match["axis"].lower(), True, unit)
     words = [word for word in _SPLIT.split(text) if word]
     if not words:
         return None

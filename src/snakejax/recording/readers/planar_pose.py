@@ -74,7 +74,8 @@ def fitted(capture: Capture, object: str, hints: FileAnnotations) -> tuple[Body,
             what = (
                 f'There is no marker "{shown(name)}"' if marker is None else f'The marker "{shown(name)}" appears twice'
             )
-            raise InputError(f"{what} in the file", capture.where, listed(name, [*capture.markers]))
+            remedy = listed(name, [*capture.markers]) if marker is None else "rename or remove all but one"
+            raise InputError(f"{what} in the file", capture.where, remedy)
         names.append(marker)
     template = np.array([hints.markers[name] for name in hints.markers], float)
     spread = float(np.sqrt(((template - template.mean(axis=0)) ** 2).sum(axis=1).mean()))
