@@ -535,3 +535,10 @@ def test_pictures_say_it() -> None:
     places = [np.asarray(mark.get_offsets().compressed()).reshape(-1, 2)[:, 0] for mark in marks]
     assert [*map(sorted, places)] == [[pytest.approx(np.sqrt(340.0))], pytest.approx(np.sqrt([312.0, 2.1e4]))]
     assert len(plot.ranking(story().base).axes[1].collections) == 1
+
+
+@pytest.mark.parametrize(("share", "words"), [(0.69, "takes away 69% of"), (-0.11, "rises by 11% with it")])
+def test_a_step_says_what_it_does_to_the_error(share: float, words: str) -> None:
+    effect = story().final.effects[-1]
+    found = dataclasses.replace(story(verdict="explained"), confidence={effect: "sure"}, share={effect: share})
+    assert words in " ".join(confidence_sentences(found, effect))

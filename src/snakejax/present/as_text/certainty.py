@@ -23,7 +23,10 @@ def confidence_sentences(explanation: Explanation, effect: str) -> Iterator[str]
     if share is not None:
         runs = "train runs" if explanation.final.heldout is None else "held-out runs"
         runs = "train recordings, each left out in turn" if explanation.of_windows else runs
-        yield f"It takes away {percent(share)} of the squared error of the {runs}."
+        if share < 0:
+            yield f"The squared error of the {runs} rises by {percent(-share)} with it."
+        else:
+            yield f"It takes away {percent(share)} of the squared error of the {runs}."
 
 
 def law_sentences(explanation: Explanation) -> Iterator[str]:
