@@ -252,3 +252,13 @@ def test_a_creep_speed_above_that_of_the_board() -> None:
     fast = dataclasses.replace(CLEAN, board=Board(**{**TABLE_II, "creep_speed": 10.0}))
     (doubt,) = check(fast)
     assert doubt.what.startswith("creep_speed_mps is 10, but the board moves at 0.")
+
+
+@pytest.mark.parametrize(("kp", "kd", "words"), [(1.0, 20.0, "only after 60 s"), (100.0, 0.0, "never")])
+def test_a_controller_that_does_not_reach_its_command(kp: float, kd: float, words: str) -> None:
+    def slow(one: Run) -> Run:
+        steering = one.gait.signal("phi")
+        return dataclasses.replace(one, gait=Gait(Tracked(steering.command, kp, kd), one.gait.signal("psi")))
+
+    doubts = [issue.what for issue in check(case(*map(slow, CLEAN.runs))) if issue.run is None]
+    assert any(what.startswith(f"phi reaches its command {words}, and the longest run has 12 s") for what in doubts)

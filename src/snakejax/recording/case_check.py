@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from snakejax.core.errors import InputError
+from snakejax.dynamics.signals import Tracked
 from snakejax.vehicles.snakeboard.board import Board
 
 from .case import load_case
@@ -21,6 +22,8 @@ Severity = Literal["note", "doubtful"]
 
 STEEPEST = np.deg2rad(80)
 NOISE_FACTOR = 2.0
+SETTLED = 3.0
+"""After so many time constants 5% of an error is left: exp(-3)."""
 JOINT_UNITS = ("angle_unit", "frequency_unit")
 """Findings after which the clocks of cameras and joints cannot be compared."""
 
@@ -123,6 +126,7 @@ def _whole(case: Case) -> Iterator[Issue]:
         yield Issue(None, "the gait is the same in all train runs: few effects can be distinguished", "doubtful")
     yield from _still_rotor(case)
     yield from _creeping(case)
+    yield from _slow_joints(case)
     for i, run in enumerate(case.runs):
         for other in case.runs[:i]:
             if run.pose.shape == other.pose.shape and np.array_equal(run.pose, other.pose, equal_nan=True):
@@ -141,6 +145,23 @@ def _still_rotor(case: Case) -> Iterator[Issue]:
     what = "nothing turns the rotor, and the board starts at rest, but it moves: what drives it?"
     remedy = 'write psi; start = "moving" for a board that was pushed; `snakejax new --vehicle car` for another vehicle'
     yield Issue(None, what, "doubtful", remedy)
+
+
+def _slow_joints(case: Case) -> Iterator[Issue]:
+    """Joints whose controller still has 5% of its first error when the longest run ends."""
+    longest = max(float(run.times[-1]) for run in case.runs)
+    slow: dict[str, float] = {}
+    for run in case.runs:
+        for name in run.gait.names:
+            if isinstance(signal := run.gait.signal(name), Tracked):
+                half, q = float(signal.kd) / 2, float(signal.kd) ** 2 / 4 - float(signal.kp)
+                decay = half - np.sqrt(max(q, 0.0))
+                if decay * longest < SETTLED:
+                    slow[name] = SETTLED / decay if decay > 0 else np.inf
+    for name, seconds in slow.items():
+        when = f"only after {seconds:.2g} s" if np.isfinite(seconds) else "never"
+        what = f"{name} reaches its command {when}, and the longest run has {longest:.3g} s"
+        yield Issue(None, what, "doubtful", "check kp and kd in [actuator]: the slower decay is kp / kd if kd is large")
 
 
 def _speed(run: Run) -> float:
