@@ -537,7 +537,15 @@ def test_pictures_say_it() -> None:
     assert len(plot.ranking(story().base).axes[1].collections) == 1
 
 
-@pytest.mark.parametrize(("share", "words"), [(0.69, "takes away 69% of"), (-0.11, "rises by 11% with it")])
+@pytest.mark.parametrize(
+    ("share", "words"),
+    [
+        (0.69, "away 69% of"),
+        (0.0003, "away 0.03% of"),
+        (0.0, "away less than 0.01% of"),
+        (-0.11, "rises by 11% with it"),
+    ],
+)
 def test_a_step_says_what_it_does_to_the_error(share: float, words: str) -> None:
     effect = story().final.effects[-1]
     found = dataclasses.replace(story(verdict="explained"), confidence={effect: "sure"}, share={effect: share})

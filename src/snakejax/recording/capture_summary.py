@@ -110,7 +110,8 @@ def summary_text(capture: Capture, grounds: Mapping[str, Ground | None], up: str
     paced = f"{clock} at {rate:.6g} Hz" if rate else clock
     lines = [f"{capture.path.name}: {capture.format}, {paced} for {span:.2f} s, in {capture.units}"]
     for name, body in [*capture.bodies.items()][:MOST_LISTED]:
-        lines.append(f"  object   {name or '(without a name)'}: {_coverage_text(coverage(body.times, body.position))}")
+        called = name or next(iter(grounds), "") or "(without a name)"
+        lines.append(f"  object   {called}: {_coverage_text(coverage(body.times, body.position))}")
     if len(capture.bodies) > MOST_LISTED:
         lines.append(f"  object   and {len(capture.bodies) - MOST_LISTED} more: --json FILE lists them all")
     for name, markers in subjects(capture).items():

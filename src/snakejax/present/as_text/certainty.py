@@ -76,10 +76,15 @@ SURE_OF_WINDOWS = "Sure: the recordings agree on its value, and each is predicte
 
 
 def percent(share: float) -> str:
-    """A share in percent; the largest that is printed is `more than 99.9%`."""
-    return (
-        "more than 99.9%" if 0.999 < share < 1.0 else f"{100 * share:.1f}%" if share > 0.99 else f"{100 * share:.0f}%"
-    )
+    """A positive share in percent: two digits, more near 100%, one below half a percent; from `less than 0.01%` to
+    `more than 99.9%`."""
+    if share < 1e-4:
+        return "less than 0.01%"
+    if share < 0.005:
+        return f"{100 * share:.1g}%"
+    if 0.999 < share < 1.0:
+        return "more than 99.9%"
+    return f"{100 * share:.1f}%" if share > 0.99 else f"{100 * share:.0f}%"
 
 
 def floor_sentences(explanation: Explanation) -> Iterator[str]:
