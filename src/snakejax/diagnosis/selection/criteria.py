@@ -37,6 +37,11 @@ class SelectionCriteria(NamedTuple):
     """Least information of the remaining runs on a parameter in the leave-one-run-out score, as a share of the
     information of all runs. It is added to the scaled normal equations, so the score stays regular."""
 
+    agreement_level: float = 0.05
+    """In windows, the recordings agree on an effect if its 95% interval, by the jackknife over recordings, excludes the
+    neutral value. A few recordings seldom exclude it at 1%. The effect must also lower the error of omitted recordings.
+    `sure` asks for `significance_level`, corrected for the number of candidates."""
+
     # How near a fit is to the noise
     linear_misfit: float = 4.0
     """Below this misfit the residuals of whole runs are small enough for the score test, which is linear. It is then

@@ -310,6 +310,6 @@ def _why(one: Candidate, taken: bool, later: bool, criteria: SelectionCriteria) 
         return "refused: it improves the prediction of omitted recordings by less than the standard error"
     if one.gain.share < criteria.least_excess_share:
         return f"refused: the improvement is too small, {gained}"
-    if not one.p_value < criteria.significance_level:
+    if not one.p_value < criteria.agreement_level:
         return f"refused: the recordings do not agree on its value (p = {one.p_value:.2g})"
     return f"refused: another effect does more, or it does less in the full fit; {gained}"

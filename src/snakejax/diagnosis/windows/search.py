@@ -57,7 +57,7 @@ class Candidate(NamedTuple):
     def predicts(self, criteria: SelectionCriteria) -> bool:
         """Whether recordings left out are predicted better by enough to matter, with parameters on which the recordings
         agree."""
-        agreed = self.p_value < criteria.significance_level and not self.at_bound
+        agreed = self.p_value < criteria.agreement_level and not self.at_bound
         return agreed and self.gain.predicts and self.gain.share >= criteria.least_excess_share
 
 

@@ -13,7 +13,7 @@ EXPECTED, DETECTS = "expected", "detects"
 
 ORDER = "The candidates that were refitted come first, by the error that is left; then the others, by their evidence."
 P_AND_SD = (
-    "p takes the error for noise; +- also counts how much the runs differ, so that a small p can go with a large +-."
+    "p treats the error as noise; +- also counts how much the runs differ, so that a small p can go with a large +-."
 )
 
 
