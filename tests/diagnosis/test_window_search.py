@@ -8,6 +8,8 @@ import pytest
 from helpers.wandering_car import CONSTANTS, NOISE, TYRE, windows
 from scipy import stats
 
+from snakejax.diagnosis.inexact.left_out import Gain
+from snakejax.diagnosis.selection.criteria import CRITERIA
 from snakejax.diagnosis.windows import explaining
 from snakejax.diagnosis.windows import search as search_module
 from snakejax.diagnosis.windows.explaining import (
@@ -18,7 +20,7 @@ from snakejax.diagnosis.windows.explaining import (
     supports,
 )
 from snakejax.diagnosis.windows.own_motion import own_errors, steady_windows
-from snakejax.diagnosis.windows.search import SearchState, _p_value
+from snakejax.diagnosis.windows.search import Candidate, SearchState, _p_value
 from snakejax.dynamics.inputs import Inputs
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.sampled_signals import Held
@@ -100,6 +102,21 @@ def test_an_effect_that_a_later_one_makes_idle_is_dropped(monkeypatch: pytest.Mo
     search: Any = SimpleNamespace(candidate=candidate, criteria=None, fitted=lambda point, effects: None)
     states = search_module._without_idle_effects(search, state(None, None, ("a", "c", "b")))
     assert [(one.dropped, one.effects) for one in states] == [("c", ("a", "b"))]
+
+
+@pytest.mark.parametrize(
+    ("by_part", "share", "p_value", "at_bound", "taken"),
+    [
+        ([2.0, 3.0, 2.5], 0.06, 0.049, False, True),
+        ([2.0, 3.0, 2.5], 0.06, 0.051, False, False),  # the 95% interval holds the neutral value
+        ([2.0, 3.0, 2.5], 0.04, 0.001, False, False),  # too small to matter
+        ([9.0, -8.0, 1.0], 0.06, 0.001, False, False),  # the recordings differ by more than they gain
+        ([2.0, 3.0, 2.5], 0.06, 0.001, True, False),
+    ],
+)
+def test_what_an_effect_must_do_to_be_added(by_part, share, p_value, at_bound, taken) -> None:
+    candidate = Candidate("a", Gain(np.array(by_part), share), p_value, (1.0,), np.ones(1), at_bound)
+    assert candidate.predicts(CRITERIA) == taken
 
 
 def test_start_states_are_projected_out_as_least_squares_does() -> None:
