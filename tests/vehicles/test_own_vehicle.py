@@ -41,6 +41,7 @@ def test_every_vehicle_has_a_template_that_loads(tmp_path) -> None:
     rows = "".join(f"{t:.2f},{0.1 * t:.4f},0.0,0.0\n" for t in np.arange(0.0, 1.0, 0.02))
     for kind in VEHICLES[1:]:
         path = write_template(tmp_path / kind, kind)
+        assert "#  [" not in path.read_text(encoding="utf-8"), f"a constant of {kind} has no meaning"
         for name in ("train-1.csv", "heldout-1.csv"):
             (path.parent / name).write_text(f"time_s,x_m,y_m,heading_rad\n{rows}", encoding="utf-8")
         with pytest.raises(InputError, match=r'are still "\?"'):

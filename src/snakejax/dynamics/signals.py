@@ -162,6 +162,12 @@ class Tracked(AbstractSignal):
     kp: Scalar = param("1/s^2", positive=True)
     kd: Scalar = param("1/s", low=0.0)
 
+    @property
+    def decay(self) -> Scalar:
+        """The rate [1/s] at which the error decays in the end: a - sqrt(max(-q, 0))."""
+        a = self.kd / 2
+        return a - jnp.sqrt(jnp.maximum(a**2 - self.kp, 0.0))
+
     def at(self, t: Scalar) -> Joint:
         start = self.command.at(jnp.zeros(()))
         angle, rate, acceleration = self.command.at(t)

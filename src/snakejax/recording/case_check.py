@@ -5,8 +5,6 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from snakejax.core.errors import InputError
@@ -16,6 +14,7 @@ from snakejax.vehicles.snakeboard.board import Board
 from .case import load_case
 from .continuous import LEAST_MOTION, mean_speed
 from .quality import CONVENTIONS, Finding, Inspection, clocks, estimate_noise, farthest_steering, inspect
+from .quality.joint_motion import angles
 from .run import Case, Run
 
 Severity = Literal["note", "doubtful"]
@@ -138,8 +137,7 @@ def _still_rotor(case: Case) -> Iterator[Issue]:
     if not isinstance(case.board, Board):
         return
     for run in case.runs:
-        signal, times = run.gait.signal("psi"), np.asarray(run.times)
-        turned = np.asarray(jax.vmap(signal.at)(jnp.asarray(times)).angle)
+        turned = angles(run.gait.signal("psi"), np.asarray(run.times))
         if run.moving or np.ptp(turned) > 0 or _speed(run) < LEAST_MOTION:
             return
     what = "nothing turns the rotor, and the board starts at rest, but it moves: what drives it?"
@@ -154,8 +152,7 @@ def _slow_joints(case: Case) -> Iterator[Issue]:
     for run in case.runs:
         for name in run.gait.names:
             if isinstance(signal := run.gait.signal(name), Tracked):
-                half, q = float(signal.kd) / 2, float(signal.kd) ** 2 / 4 - float(signal.kp)
-                decay = half - np.sqrt(max(q, 0.0))
+                decay = float(signal.decay)
                 if decay * longest < SETTLED:
                     slow[name] = SETTLED / decay if decay > 0 else np.inf
     for name, seconds in slow.items():

@@ -329,3 +329,14 @@ def test_numbered_markers(tmp_path) -> None:
     capture = read_capture(put(tmp_path, rows("time,x1,y1,z1,X_2,Y_2,Z_2", t, x, y, z, 1 + x, y, z)))
     assert [*capture.markers] == ["1", "2"]
     assert np.allclose(capture.markers["2"] - capture.markers["1"], [1, 0, 0])
+
+
+def test_day_and_month_are_in_one_order_in_all_rows(tmp_path) -> None:
+    """12 January before midnight, 13 January after it: only the second shows which number is the day."""
+    since = 23 * 3600 + 59 * 60 + 59.7 + t
+    clock = [
+        f"{12 + int(s // 86400)}/01/2022 {int(s % 86400 // 3600):02d}:{int(s % 3600 // 60):02d}:{s % 60:09.6f}"
+        for s in since
+    ]
+    track = read_track(put(tmp_path, rows("time,x,y,yaw", clock, x, y, M.heading)), "board")
+    np.testing.assert_allclose(track.times, t, atol=1e-5)

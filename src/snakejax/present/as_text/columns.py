@@ -10,11 +10,12 @@ FALL = "fall of chi^2"
 WINDOWS, PREDICTED, REFIT = "windows / noise", "predicted / noise", "refit / noise"
 """The error that a candidate leaves: of short windows, of whole runs by the linear model, of whole runs refitted."""
 EXPECTED, DETECTS = "expected", "detects"
+"""Titles of a value, and of the smallest one that would show."""
 
 ORDER = "The candidates that were refitted come first, by the error that is left; then the others, by their evidence."
-P_AND_SD = (
-    "p treats the error as noise; +- also counts how much the runs differ, so that a small p can go with a large +-."
-)
+"""The order of a table of candidates."""
+P_AND_SD = "+- may count more than p does, such as how much the runs differ: a small p can go with a large +-."
+"""Why p and +- of a candidate need not agree."""
 
 
 def of_heldout(name: str) -> str:

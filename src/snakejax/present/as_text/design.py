@@ -47,8 +47,8 @@ def _tuned_for(over: str) -> str:
     return "tuned for the model itself" if over == "fit" else f"tuned for the {over} over samples of the fit"
 
 
-LIMIT_UNITS = {"": "rad", "rate": "rad/s", "acceleration": "rad/s^2"}
-"""Units of the limits of a joint, by the word behind the joint."""
+LIMIT_UNITS = {"rate": "rad/s", "acceleration": "rad/s^2"}
+"""Units of the limits of a joint, by the word behind the joint; that of an angle is rad."""
 UNITS = {"distance": ("distance [m]", 1.0), "turn": ("turn [rad]", 1.0)}
 
 
@@ -66,7 +66,7 @@ def _spread(objective: str, spread: list[Any]) -> str:
 
 def limit_unit(name: str) -> str:
     """The unit of a limit, such as `phi_rate`."""
-    return LIMIT_UNITS[name.rpartition("_")[2] if name.endswith(("_rate", "_acceleration")) else ""]
+    return LIMIT_UNITS.get(name.rpartition("_")[2], "rad")
 
 
 def limits_line(tuned: TuningResult) -> str:

@@ -16,7 +16,7 @@ DATE = re.compile(
     r"(\d{4})[-/](\d{1,2})[-/](\d{1,2})[T ] ?(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)? ?(Z|[+-]\d\d:?\d\d)?"
 )
 YEAR_LAST = re.compile(r"(\d{1,2})[./-](\d{1,2})[./-](\d{4})(?=[T ])")
-"""08/15/2022, the month first unless only the day can be. Which it is matters to no recording within one day."""
+"""08/15/2022: the month first, unless the first number of any row is above 12."""
 TIME_OF_DAY = re.compile(r"(\d{1,2}):(\d{2}):(\d{2})(?:[.,](\d{1,9}))?")
 DAY = 86400.0
 """Seconds of a day."""
@@ -24,7 +24,7 @@ DAY = 86400.0
 
 def is_date(cell: str) -> bool:
     """Whether the cell holds a date with the time of day, or the time of day alone with its seconds."""
-    return bool(DATE.match(_year_first(cell.strip())) or TIME_OF_DAY.fullmatch(cell.strip()))
+    return bool(DATE.match(_year_first(cell.strip(), False)) or TIME_OF_DAY.fullmatch(cell.strip()))
 
 
 def seconds(dates: Sequence[str], rows: Rows) -> Float[np.ndarray, " n"]:
@@ -35,9 +35,10 @@ def seconds(dates: Sequence[str], rows: Rows) -> Float[np.ndarray, " n"]:
     """
     plain = []
     zones = set()
+    day_first = any(int(match[1]) > 12 for date in dates if (match := YEAR_LAST.match(date.strip())))
     undated = TIME_OF_DAY.fullmatch(dates[0].strip()) is not None
     for row, date in enumerate(dates):
-        dated = f"1970-01-01 {date.strip()}" if undated else _year_first(date.strip())
+        dated = f"1970-01-01 {date.strip()}" if undated else _year_first(date.strip(), day_first)
         if (match := DATE.fullmatch(dated)) is None:
             raise _complaint(date, rows.where(row))
         year, month, day, hour, minute, second, fraction, zone = match.groups(default="")
@@ -57,13 +58,9 @@ def seconds(dates: Sequence[str], rows: Rows) -> Float[np.ndarray, " n"]:
     return times + DAY * np.cumsum(midnights)
 
 
-def _year_first(date: str) -> str:
-    match = YEAR_LAST.match(date)
-    if match is None:
-        return date
-    first, second, year = map(int, match.groups())
-    month, day = (second, first) if first > 12 else (first, second)
-    return f"{year}-{month:02d}-{day:02d}{date[match.end() :]}"
+def _year_first(date: str, day_first: bool) -> str:
+    """A date with its year last in the order year, month, day; any other as it is."""
+    return YEAR_LAST.sub(r"\3-\2-\1" if day_first else r"\3-\1-\2", date)
 
 
 def _is_date(date: str) -> bool:
