@@ -18,7 +18,7 @@ HOLDS = 1.5
 """Of 16 errors the root mean square in standard errors is below this in 99.7% where these hold."""
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_standard_errors_hold_where_a_car_wanders() -> None:
     truth = Model(Car(**DART, **CONSTANTS, creep_speed=0.1, unknown=tuple(CONSTANTS)), no_traction(), "ideal")
     names = [f"board.{name}" for name in CONSTANTS]
