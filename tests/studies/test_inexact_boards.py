@@ -132,6 +132,7 @@ def test_a_law_is_found_in_the_random_force() -> None:
     assert found.final.heldout.misfit < before.misfit
 
 
+@pytest.mark.long
 def test_five_moderate_effects_of_an_exact_board_are_found_together() -> None:
     """One after the other the first few lower the error little: a search on whole runs refused them."""
     hidden = {
