@@ -35,7 +35,13 @@ MOST_MEMORY = 3 << 30
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files with long tests first, and the longest at once: the last file of a parallel run is then a short one."""
+    """Files with long tests first, and the longest at once: the last file of a parallel run is then a short one.
+
+    A study of minutes is slow too, so that `-m "not slow"` leaves out both.
+    """
+    for item in items:
+        if item.get_closest_marker("long"):
+            item.add_marker(pytest.mark.slow)
     long = {item.path for item in items if item.get_closest_marker("slow")}
     place = {name: k for k, name in enumerate(LONGEST)}
     items.sort(key=lambda item: (item.path not in long, place.get(item.path.stem, len(place))))

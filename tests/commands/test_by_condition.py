@@ -101,7 +101,7 @@ def test_what_may_have_changed_is_each_parameter_once_and_the_grip_of_both_axles
     assert len(counted) == 2 * len(set(counted))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_floor_with_less_grip_is_named(tmp_path: Path) -> None:
     car = Car(**DART, **CONSTANTS, creep_speed=0.1)
     known = Model(car, TYRE, "free")

@@ -120,7 +120,7 @@ def test_of_two_structures_the_force_is_counted_beside_the_one_that_leaves_less(
     assert found.depends_on[0][0] == "world_position"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_known_effect_survives_beside_the_force_and_a_mere_helper_does_not():
     """A spring pulls at a board whose steering lags: beside the lag the spring is seen alone, a bias makes no odds."""
     case = made(spring=Spring(), steering_lag=LIBRARY["steering_lag"](0.04))

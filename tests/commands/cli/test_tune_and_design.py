@@ -128,7 +128,7 @@ def test_an_effect_of_ones_own_is_told_from_another_on_the_laden_board(told, cas
     assert part["after"] == pytest.approx(correct_selection_probability(known.G + mine, pair), abs=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_two_that_look_most_alike_are_found(told, monkeypatch) -> None:
     few = {name: effects.LIBRARY[name] for name in ("body_drag", "longitudinal_slip", "yaw_damping")}
     monkeypatch.setattr(effects, "LIBRARY", few)

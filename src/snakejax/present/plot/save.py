@@ -23,5 +23,7 @@ def save(figure: Figure, folder: Path | str, name: str) -> list[Path]:
         for kind in ("png", "svg"):
             drawn = io.BytesIO()
             figure.savefig(drawn, format=kind, dpi=DPI, metadata={"Date": None} if kind == "svg" else None)
+            # The places of axes and texts are found once, for both files.
+            figure.set_layout_engine("none")
             written.append(write_whole(Path(folder) / f"{name}.{kind}", drawn.getvalue()))
     return written
