@@ -7,7 +7,8 @@ import pytest
 from helpers.folders import ROOT
 
 TESTS = ROOT / "tests"
-ROOMS = {path.name for path in (ROOT / "src" / "snakejax").iterdir() if (path / "__init__.py").is_file()}
+SOURCE = ROOT / "src" / "snakejax"
+ROOMS = {path.name for path in SOURCE.iterdir() if (path / "__init__.py").is_file()}
 BESIDE = {"architecture", "studies"}
 """Folders with tests of no single room: of the tree itself, and of what is run as users run it."""
 SHARED = {"helpers", "oracles"}
@@ -31,6 +32,25 @@ def test_every_room_has_its_tests_and_every_test_its_room() -> None:
     assert homes == ROOMS | BESIDE
     others = {file.relative_to(TESTS).parts[0] for file in FILES if not file.name.startswith("test_")}
     assert others == SHARED | {"conftest.py"}
+
+
+def folders_of(room: Path) -> dict[str, set[str]]:
+    """For each name of a module of `room`, the folders inside it that have one; "." is the room itself."""
+    places: dict[str, set[str]] = {}
+    for module in room.rglob("*.py"):
+        places.setdefault(module.stem, set()).add(str(module.parent.relative_to(room)))
+    return places
+
+
+@pytest.mark.parametrize("room", sorted(ROOMS))
+def test_folders_of_tests_are_those_of_the_room(room: str) -> None:
+    """Where a room has folders its tests have the same; a test file named as a module lies in the folder of that."""
+    places = folders_of(SOURCE / room)
+    inside = {folder for folders in places.values() for folder in folders}
+    for file in (TESTS / room).rglob("test_*.py"):
+        own = str(file.parent.relative_to(TESTS / room))
+        assert own in inside, f"{file}: {room} has no folder {own}"
+        assert own in places.get(file.stem.removeprefix("test_"), {own}), f"{file}: its module lies elsewhere"
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(TESTS)))

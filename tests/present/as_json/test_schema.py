@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from helpers.folders import ROOT
 from helpers.made_up_explanation import result, story
 from jsonschema import Draft202012Validator
 
@@ -19,7 +20,6 @@ from snakejax.effects import LIBRARY
 from snakejax.estimation.uncertainty import Estimate
 from snakejax.present.as_json.schema import schema_of
 
-ROOT = Path(__file__).resolve().parents[2]
 LEVEL = ROOT / "data" / "level-board"
 GIVEN = ("--set", "B=7.589,C=1.515,D=8.543,E=-0.122")
 FITTED = ("--free", "B,D", "--set", "C=1.515,E=-0.122")
