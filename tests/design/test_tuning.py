@@ -241,7 +241,7 @@ def test_several_boards_are_tuned_for_together(pose) -> None:
         (["--limit", "phi=-1"], "above 0"),
         (["--limit", "phi=1.57"], "across the board"),
         (["--seconds", "0"], "cannot last 0 s"),
-        (["--over", "worst"], "no samples"),
+        (["--over", "worst"], "needs samples of a fit"),
     ],
 )
 def test_what_cannot_be_is_said_in_one_line(options, why, capsys) -> None:

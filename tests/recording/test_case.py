@@ -194,7 +194,7 @@ COMPLAINTS = {
     "skid": (TOML.replace('"free"', '"loose"'), "skid", "cannot be 'loose'", "known: free, coupled"),
     "start": (with_run('start = "move"'), "start", "cannot be 'move'", 'write "moving"'),
     "kind": (logged('kind = "measure"'), "joint_log", "cannot be 'measure'", 'write "measured"'),
-    "no train run": (TOML.replace('"train"', '"heldout"'), "role", "no run is to train on", 'write role = "train"'),
+    "no train run": (TOML.replace('"train"', '"heldout"'), "role", "a fit needs a run with", 'write role = "train"'),
     "no runs": (TOML[: TOML.index("[[runs]]")], "title", "Missing key runs", "add [[runs]]"),
     "runs as one table": (TOML[: TOML.index("\n[[runs]]\nrole = \"held")].replace("[[runs]]", "[runs]"), "[runs]",
                           "must be an array of tables", "[[runs]]"),

@@ -1,15 +1,16 @@
 """`snakejax import`: what is understood, what is copied, and what is asked for."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from helpers.exports import PLACES, motion, motive, nexus, table, tracker
 from scipy.spatial.transform import Rotation
 
-from snakejax import load_case, read_track
-from snakejax.commands.cli import main
-from snakejax.recording.readers import read_joint_log
+from snakejax import InputError, load_case, read_track
+from snakejax.commands.cli import importing, main
+from snakejax.recording.readers import read_capture, read_joint_log
 
 BOARD = "mass_kg=7,rotor_inertia_kgm2=0.0238,wheelset_inertia_kgm2=0.001,half_length_m=0.25"
 SINES = "[[0.9, 4.0, 0.0]]"
@@ -246,3 +247,20 @@ def test_where_the_x_axis_points_is_written_down(tmp_path, capsys):
         "A converted object keeps its axes",
         "`up` is not a direction on the board",
     ]
+
+
+def test_a_run_of_another_vehicle_has_the_inputs_of_that(tmp_path, capsys):
+    case = tmp_path / "case"
+    case.mkdir()
+    toml = '[vehicle]\nkind = "car"\nmass_kg = 1.6\ninertia_kgm2 = 0.008\nfront_m = 0.08\nrear_m = 0.09\n'
+    (case / "case.toml").write_text(toml)
+    imported(put(tmp_path, motive(motion(200))), "--case", case)
+    text = (case / "case.toml").read_text()
+    assert 'steer = "?"' in text and 'drive = "?"' in text and "phi" not in text.replace("phi_back", "")
+
+
+def test_a_file_without_any_named_object_is_refused(tmp_path, capsys):
+    capture = read_capture(put(tmp_path, motive(motion(200))))
+    options = SimpleNamespace(object=None, case="case", to=None)
+    with pytest.raises(InputError, match="no object and no named marker"):
+        importing._object(options, capture._replace(bodies={}, markers={}))

@@ -165,7 +165,7 @@ def test_what_cannot_be_used_is_said(tmp_path: Path, old: str, new: str, message
 def test_a_case_without_train_runs_can_be_judged_only(tmp_path: Path) -> None:
     folder = written(tmp_path)
     (folder / "case.toml").write_text(CASE.replace("train", "heldout"), encoding="utf-8")
-    with pytest.raises(InputError, match="no run is to train on"):
+    with pytest.raises(InputError, match="a fit needs a run with role"):
         load_case(folder)
     assert not load_case(folder, to_train=False).having("train")
 
@@ -204,3 +204,36 @@ def test_the_recorded_vehicles_of_data_are_cases(name: str, groups: set[str | No
     assert {run.group for run in case.having("heldout")} == groups and len(case.having("train")) > 40
     assert all(np.isfinite(np.asarray(run.pose)).all() for run in case.runs)
     assert all(1.4 < float(run.times[-1]) < 2.0 for run in case.runs)
+
+
+def edited(folder: Path, edit) -> Path:
+    """The case with `edit` of the lines of its first file."""
+    path = written(folder) / "0909_1.csv"
+    path.write_text("\n".join(edit(path.read_text(encoding="utf-8").split("\n"))), encoding="utf-8")
+    return folder
+
+
+def test_a_blank_cell_of_an_input_is_refused_with_its_line(tmp_path: Path) -> None:
+    def blank(lines: list[str]) -> list[str]:
+        cells = lines[200].split(",")
+        return [*lines[:200], ",".join([*cells[:4], "", *cells[5:]]), *lines[201:]]
+
+    with pytest.raises(InputError, match=r"The cell of steering is blank, .*line 201: fill it"):
+        load_case(edited(tmp_path, blank))
+
+
+def test_a_mark_a_comment_and_a_column_of_words_change_nothing(tmp_path: Path) -> None:
+    def dressed(lines: list[str]) -> list[str]:
+        rows = [f"{line},auto" if line else "" for line in lines[1:]]
+        return ["\ufeff# logged by hand", f"{lines[0]},mode", *rows]
+
+    plain, other = (
+        load_case(case).recordings[0] for case in (written(tmp_path / "a"), edited(tmp_path / "b", dressed))
+    )
+    np.testing.assert_array_equal(plain.gait.signal("drive").values, other.gait.signal("drive").values)
+    np.testing.assert_array_equal(plain.pose, other.pose)
+
+
+def test_a_pattern_matches_files_alone(tmp_path: Path) -> None:
+    (written(tmp_path) / "0909_plots.csv").mkdir()
+    assert [run.name for run in load_case(tmp_path).recordings] == ["0909_1", "0910_1"]

@@ -68,6 +68,6 @@ def _changeable(model: Model) -> list[str]:
 def _name(model: Model, key: str) -> str:
     name = f"by_{key}"
     if name in model.effects:
-        what = f"The saved model has values by {key} already"
-        raise InputError(what, f"{BY} {key}", f"leave it out and name some of effects.{name}.* with --free")
+        what = f"The saved model already has separate values by {key}"
+        raise InputError(what, f"{BY} {key}", f"leave it out, and free them with --free effects.{name}.NAME")
     return name

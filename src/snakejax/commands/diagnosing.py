@@ -84,7 +84,7 @@ def explain(case: Case | Path | str, **options: Unpack[ExplainOptions]) -> Expla
 def explain_case(case: Case, options: ExplainOptions) -> Explanation:
     """The explanation of an inspected `case`. **Raises:** as `fit`."""
     if key := options.get("by"):
-        what = f"`explain` adds physical effects, not what differs by {key}"
+        what = f"`explain` does not search for differences by {key}"
         raise InputError(what, f"{BY} {key}", "rank what differs with `snakejax diagnose`, estimate it with `fit`")
     question = question_of(case, options)
     return explained(case, question.noise, question.library, **question.options)
@@ -111,7 +111,7 @@ def question_of(case: Case, options: ExplainOptions) -> Question:
     usual = default_free(base.model)
     if key := options.get("by"):
         if not windows.supports(case):
-            what = f"What differs by {key} is searched for in windows of recordings only"
+            what = f"`diagnose --by {key}` needs train runs that are windows of recordings"
             raise InputError(what, f"{BY} {key}", "leave it out, or estimate parameters by it with `snakejax fit`")
         library, freed = dict(changes(base.model, case, key)), []
         usual = [*usual, *(name for name in parameters(base.model) if name.startswith("board."))]

@@ -6,13 +6,14 @@ from typing import Any, NamedTuple, Unpack
 
 from snakejax.core.errors import FitError, InputError, instead_of
 from snakejax.core.progress import no_progress
-from snakejax.design.limits import Limits, reached_by
+from snakejax.design.limits import Limits, limits_of, reached_by
 from snakejax.design.objectives import Custom, Distance, Effort, Objective, Reach, Turn
 from snakejax.design.rollouts import Controller
 from snakejax.design.tuning import TuningResult
 from snakejax.design.tuning import tune as tuned
 from snakejax.dynamics.inputs import Gait
 from snakejax.dynamics.model import Model
+from snakejax.dynamics.signals import Logged, Sines
 from snakejax.estimation.fit_record import Fit
 from snakejax.estimation.posterior import posterior_samples
 from snakejax.recording.run import Case
@@ -133,7 +134,7 @@ def _boards(subject: Case | Preset | Model, options: TuneOptions) -> Boards:
     if over not in (None, "fit", "mean", "worst"):
         raise InputError(f"There is no way to tune over `{over}`", "option --over", "take fit, mean or worst")
     if given and over in ("mean", "worst"):
-        what = "A board with given parameters has no samples"
+        what = "`--over` needs samples of a fit, but the parameters of this board are given"
         raise InputError(what, "option --over", "leave it out, or fit a case (without --set and --from)")
     if isinstance(subject, Model):
         return Boards([subject], "fit")
@@ -161,7 +162,11 @@ def gaits_of(subject: Case | Preset | Model) -> tuple[list[Gait], float | None]:
     if isinstance(subject, Model):
         return [], None
     rested = [run.gait for run in subject.runs if not run.moving and isinstance(run.gait, Gait)]
-    return rested, float(subject.runs[0].times[-1])
+    smooth = [g for g in rested if all(isinstance(limits_of(joint), Sines | Logged) for joint in (g.phi, g.psi))]
+    if rested and not smooth:
+        what = "The commands of these runs jump or pass through an actuator that is none of kp and kd"
+        raise InputError(what, "argument CASE", "`tune` and `design` take gaits of sines or smooth logs")
+    return smooth, float(subject.runs[0].times[-1])
 
 
 def payload_of(subject: Case | Preset | Model) -> tuple[float, float]:

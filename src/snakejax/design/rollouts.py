@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from snakejax.core.errors import InputError
 from snakejax.core.parameter import Parametrised, Scalar, param
 from snakejax.dynamics.inputs import Gait
 from snakejax.dynamics.model import Model
@@ -28,8 +29,15 @@ class Controller(Parametrised):
 
     @staticmethod
     def of(gait: Gait) -> "Controller":
-        """The controller of the joints of `gait`."""
-        return Controller(gait.phi.kp, gait.phi.kd) if isinstance(gait.phi, Tracked) else Controller()
+        """The controller of the joints of `gait`. **Raises:** `InputError` where they have different ones."""
+        steering, rotor = (
+            Controller(joint.kp, joint.kd) if isinstance(joint, Tracked) else Controller()
+            for joint in (gait.phi, gait.psi)
+        )
+        if not eqx.tree_equal(steering, rotor):
+            what = "phi and psi have different controllers, and a gait is designed for one"
+            raise InputError(what, "[actuator] of case.toml", "give both joints the same kp and kd")
+        return steering
 
     def driven(self, command: Gait) -> Gait:
         """The gait whose joints follow `command`."""

@@ -109,7 +109,7 @@ def formulas_of(expression: str) -> dict[str, ast.expr]:
             raise InputError(what, "expression", f"write `COMPONENT = formula`, of {', '.join(COMPONENTS)}")
         formulas[name] = parsed(formula)
     if "grip" in formulas and len(formulas) > 1:
-        raise InputError("A law sets the grip and a force", "expression", "write two laws")
+        raise InputError("A law cannot set both the grip and a force", "expression", "write two laws")
     return formulas
 
 

@@ -60,7 +60,9 @@ def fit_heldout_starts(problem: Problem, values: dict[str, float], role: str = "
 def problem_of(fit: Fit) -> tuple[Problem, Solution]:
     """The problem and the optimum of a fit made again: one evaluation at its values, nothing is fitted."""
     fitted, free = fit.fitted, tuple(fit.estimates)
-    problem = Problem.of(fitted.model, fitted.recordings, fitted.noise, free, max(len(free), 1), fitted.accuracy)
+    problem = Problem.of(
+        fitted.model, fitted.recordings, fitted.noise, free, max(len(free), 1), fitted.accuracy, fitted.threshold
+    )
     train, values = problem.run_indices("train"), {name: e.value for name, e in fit.estimates.items()}
     linearised = problem.evaluate(problem.at(values, free, fitted.starts), train)
     samples = problem.samples(train)
@@ -78,4 +80,5 @@ def problem_of(fit: Fit) -> tuple[Problem, Solution]:
         0,
         fit.converged,
         fit.rough,
+        fitted.threshold,
     )

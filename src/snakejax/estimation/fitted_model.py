@@ -25,7 +25,8 @@ class FittedModel:
     `starts` (R, S): fitted start states, poses (x, y [m], heading [rad]) or poses and velocities. `residuals`: for each
     recording (n, 3), measured minus modelled x, y and heading in standard deviations of `noise`, NaN where frames were
     lost. `covariance` (k, k): of the parameters `loose` for unit noise; of their logarithms for multiplicative ones.
-    `spread`: factor on standard errors for a misfit above noise. `accuracy`: that of the simulations.
+    `spread`: factor on standard errors for a misfit above noise. `accuracy`: that of the simulations. `threshold`: that
+    of Huber's loss in the fit [standard deviations].
     """
 
     model: Model
@@ -37,6 +38,7 @@ class FittedModel:
     covariance: Float[np.ndarray, "k k"] = dataclasses.field(default_factory=_none)
     spread: float = 1.0
     accuracy: Accuracy = FIT_ACCURACY
+    threshold: float = np.inf
 
     def __repr__(self) -> str:
         return f"FittedModel: {self.name}; {self.runs_text}"
@@ -81,4 +83,5 @@ def fitted_model(model: Model, problem: Problem, solution: Solution, heldout: So
         solution.covariance,
         spread(solution),
         problem.accuracy,
+        solution.threshold,
     )

@@ -99,7 +99,8 @@ def fit_problem(
         if sharpened == SHARPENED:
             value = solution.values[inconsistent[0]]
             raise FitError(
-                f"At {inconsistent[0]} = {value:.3g} the runs are too stiff for sound derivatives: leave it fixed."
+                f"With {inconsistent[0]} = {value:.3g} the equations are too stiff for accurate derivatives: "
+                "leave it fixed."
             )
         progress(ProgressEvent(Phase.TIGHTER_TOLERANCES))
         problem = problem.with_tighter_tolerances()

@@ -57,7 +57,7 @@ def posterior_samples(fit: Fit, count: int, seed: int = 0, progress: Progress = 
 
     def likely(values: dict[str, float]) -> bool:
         refitted = problem.fit(values, (), train, best.start, most=6)
-        return bool((refitted.misfit - best.misfit) * best.samples <= limit)
+        return bool(problem.cost(refitted, train) - problem.cost(best, train) <= limit)
 
     models = []
     for k in range(count):

@@ -83,7 +83,7 @@ def prediction_windows(recordings: Sequence[Run], lead: float, horizons: Sequenc
                 if window is not None:
                     windows.append(window._replace(noise=noise))
     if not windows:
-        what = f"No recording has {lead:g} s and {horizons[0]:g} s after them without a gap while the vehicle moves"
+        what = f"No part of a recording has {lead:g} s of motion and then {horizons[0]:g} s without a gap"
         raise InputError(what, "option --horizon", "take a shorter --lead or --horizon")
     return windows
 

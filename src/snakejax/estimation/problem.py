@@ -142,6 +142,13 @@ class Problem(eqx.Module):
         """The number of present samples of x, y and heading in `runs`."""
         return int((np.asarray(self.batch.weight)[list(runs)] > 0).sum())
 
+    def cost(self, solution: Solution, runs: Sequence[int]) -> float:
+        """What a fit of `runs` minimises, at `solution`: chi^2, or the sum of r^2 where |r| <= t and 2 t |r| - t^2
+        elsewhere, with t the `threshold` (Huber 1964)."""
+        size = np.abs(np.asarray(solution.linearised.residual)[list(runs)])
+        inner = np.minimum(size, self.threshold)
+        return float((inner * (2 * size - inner)).sum())
+
     def at(self, values: Mapping[str, float], free: Sequence[str], start: np.ndarray | None = None) -> Variables:
         """The `Variables` at `values` and `start`. **Raises:** `ValueError` for more than `width` free parameters."""
         if len(free) > self.width:

@@ -19,13 +19,13 @@ def profile(fit: Fit, name: str, quantile: float = 1.959964) -> tuple[float | No
     problem, best = problem_of(fit)
     train, others = problem.run_indices("train"), [n for n in best.loose if n != name]
     domain = domains_of(problem.model, [name])[0]
-    scale, best_cost = spread(best) ** 2, best.misfit * best.samples
+    scale, best_cost = spread(best) ** 2, problem.cost(best, train)
     step = float(np.sqrt(best.covariance[best.loose.index(name), best.loose.index(name)])) * spread(best)
     step = min(step * abs(best.values[name]) if domain.multiplicative else step, max(abs(best.values[name]), 1.0))
 
     def excess(value: float, neighbour: Solution) -> tuple[float, Solution]:
         refitted = problem.fit({**neighbour.values, name: value}, others, train, neighbour.start)
-        return (refitted.misfit * refitted.samples - best_cost) / scale - quantile**2, refitted
+        return (problem.cost(refitted, train) - best_cost) / scale - quantile**2, refitted
 
     def end(sign: int) -> float | None:
         inside, neighbour, reach = best.values[name], best, quantile * step

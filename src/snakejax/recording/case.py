@@ -253,11 +253,13 @@ def _require_runs(rows: list[Table], vehicle: AbstractVehicle, to_train: bool) -
                 raise row.error(key, "stands without files", 'write files = "pattern" in place of mocap')
         stem = _name(row)
         if stem in names:
-            what = f'has the stem "{stem}", as has {names[stem]}: a stem names its run'
-            raise row.error("mocap", what, "rename one of the files")
+            what = f'has the same name "{stem}" as {names[stem]}: without `name`, a run has the name of its file'
+            raise row.error("mocap", what, "rename one of the files, or set `name`")
         names[stem] = row.label
     if to_train and all(row.values["role"] != "train" for row in rows):
-        raise rows[0].error("role", 'is "heldout", as in all the runs: no run is to train on', 'write role = "train"')
+        raise rows[0].error(
+            "role", 'is "heldout" in all runs: a fit needs a run with role = "train"', 'write role = "train"'
+        )
 
 
 def _name(row: Table) -> str:

@@ -15,6 +15,7 @@ from .case import load_case
 from .continuous import LEAST_MOTION, mean_speed
 from .quality import CONVENTIONS, Finding, Inspection, clocks, estimate_noise, farthest_steering, inspect
 from .quality.joint_motion import angles
+from .quality.noise import SLOW_NOISE
 from .run import Case, Run
 
 Severity = Literal["note", "doubtful"]
@@ -183,7 +184,7 @@ def _noise(case: Case) -> Iterator[Issue]:
     except InputError as error:
         yield Issue(None, f"the noise cannot be estimated: {error.what}", "note")
         return
-    source = f" ({noise.source})" if "share it" in noise.source else ""
+    source = f" ({noise.source})" if SLOW_NOISE in noise.source else ""
     for name, unit in (("position", "m"), ("heading", "rad")):
         estimated = float(getattr(noise, name))
         if case.noise is None:

@@ -9,6 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from snakejax.core.errors import InputError
+from snakejax.core.toml_table import read_toml
+from snakejax.dynamics.inputs import Input
+from snakejax.vehicles.registry import VEHICLES, vehicle_class
+from snakejax.vehicles.snakeboard.board import Board
 
 from .case_template import BLANK, filled, toml_string
 from .readers import Capture, FileAnnotations, pose_track, write_csv
@@ -150,7 +154,7 @@ def add_run(
         notes.append(f"markers lie {usual:.2f} mm from their places on the board; in {placed.swapped} frames labels ")
         notes[-1] += f"were swapped back, in {placed.left_out} one was left out, {placed.lost} frames are lost"
     joints = joint_table(capture, request) if tracked and ready else None
-    text = _run_text(name, request, log.name if joints else None, capture)
+    text = _run_text(name, request, log.name if joints else None, capture, _inputs_of(case))
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if capture.format in CONVERTED:
@@ -176,7 +180,14 @@ def add_run(
     return notes
 
 
-def _run_text(name: str, request: ImportRequest, log: str | None, capture: Capture) -> str:
+def _inputs_of(case: Path) -> Sequence[Input]:
+    """The inputs of the vehicle of a case; those of a snakeboard where it is still to be written."""
+    vehicle = read_toml(case).values.get("vehicle") if case.exists() else None
+    kind = vehicle.get("kind") if isinstance(vehicle, dict) else None
+    return vehicle_class(kind).inputs if kind in VEHICLES else Board.inputs
+
+
+def _run_text(name: str, request: ImportRequest, log: str | None, capture: Capture, inputs: Sequence[Input]) -> str:
     # What was converted says all but where the axes of the object point.
     hints = request.hints if capture.format not in CONVERTED else FileAnnotations(x_axis=request.hints.x_axis)
     lines = ["[[runs]]", f'role = "{request.role}"', f"mocap = {toml_string(name)}"]
@@ -202,11 +213,13 @@ def _run_text(name: str, request: ImportRequest, log: str | None, capture: Captu
     if log:
         lines.append(f'joint_log = {{file = {toml_string(log)}, kind = "measured"}}')
     else:
-        example = "[[amplitude rad, angular frequency rad/s, phase rad], ...]"
-        for key, what in (("phi", "steering of the front wheelset"), ("psi", "rotor")):
-            given = request.gait.get(key)
-            lines.append(f"{key} = {given}" if given else f"{key} = {BLANK}  # commanded {what}: {example}")
-        lines += [f"phi_back = {request.gait['phi_back']}"] if "phi_back" in request.gait else []
+        for one in inputs:
+            given = request.gait.get(one.name)
+            example = f"[[amplitude {one.unit}, angular frequency rad/s, phase rad], ...]"
+            if given:
+                lines.append(f"{one.name} = {given}")
+            elif one.follows is None:
+                lines.append(f"{one.name} = {BLANK}  # commanded {one.label.replace('_', ' ')}: {example}")
     return "\n".join(lines) + "\n"
 
 

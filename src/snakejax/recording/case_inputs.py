@@ -68,6 +68,8 @@ def _actuator(table: Table) -> Actuator | dict[str, float]:
     keys = {"gain": "gain", "offset": "offset", "dead_band": "dead_band", "saturation": "saturation", "lag_s": "lag"}
     table.require_known([*GAINS, *keys])
     if any(key in table.values for key in GAINS):
+        if beside := next((key for key in keys if key in table.values), None):
+            raise table.error(beside, "stands beside kp and kd", "keep the gains or the other keys")
         return {key: table.number(key, domain_of(Tracked, key)) for key in GAINS}
     return Actuator(
         **{field: table.number(key, domain_of(Actuator, field)) for key, field in keys.items() if key in table.values}
@@ -102,11 +104,13 @@ def _logged(row: Table, folder: Path, vehicle: AbstractVehicle) -> RawInputs:
 
 def _kept(row: Table, times: Float[np.ndarray, " n"]) -> slice:
     """The samples of a held log that matter in the window of a run."""
-    window = row.values.get("window_s")
-    if not (isinstance(window, list) and len(window) == 2):
+    if "window_s" not in row.values:
         return slice(None)
-    first = max(int(np.searchsorted(times, float(window[0]) - HISTORY)) - 1, 0)
-    return slice(first, max(int(np.searchsorted(times, float(window[1]))) + 1, first + 1))
+    start, last = row.vector("window_s", 2, "window_s = [first second, last second]")
+    # A run from rest is simulated from time 0, wherever its window begins.
+    begins = start if row.values.get("start") == "moving" else min(start, 0.0)
+    first = max(int(np.searchsorted(times, begins - HISTORY)) - 1, 0)
+    return slice(first, max(int(np.searchsorted(times, last)) + 1, first + 1))
 
 
 def input_keys(vehicle: AbstractVehicle) -> tuple[str, ...]:

@@ -18,11 +18,11 @@ skid = "free"                       # what to start from: "free" (each wheelset 
 
 # A snakeboard; another vehicle has a table [vehicle] with its kind in place of this: `snakejax new --vehicle car`.
 [board]
-mass_kg = "?"                       # all of it: board, rotor, wheelsets
+mass_kg = "?"                       # the whole board, with rotor and wheelsets
 rotor_inertia_kgm2 = "?"            # of the rotor about its axis
 wheelset_inertia_kgm2 = "?"         # of one wheelset about its pivot
 half_length_m = "?"                 # from the middle to a wheelset
-creep_speed_mps = 0.01              # below this wheel speed slip forces fade out
+creep_speed_mps = 0.01              # keeps slip finite at rest; well below the rolling speed
 # inertia_kgm2 = 0.4375             # yaw inertia of all of it, with rotor and wheelsets; left out: m L^2
 # How well these are known, as standard deviations; left out: 3% of the mass, 0.5% of the length, 7% of inertias
 # mass_sd_kg = 0.05
@@ -46,8 +46,8 @@ creep_speed_mps = 0.01              # below this wheel speed slip forces fade ou
 # [search]
 # significance_level = 0.01
 
-# Gains of the joint controllers, joints at zero and at rest at t = 0. Leave the table out where the joints
-# follow their commands exactly, rates included.
+# Gains of the joint controllers. With this table each joint starts at angle zero and at rest at t = 0.
+# Omit the table if the joints follow their commands exactly, in angle and rate.
 # [actuator]
 # kp = 100.0                        # 1/s^2
 # kd = 10.0                         # 1/s
@@ -64,7 +64,8 @@ object = "board:board"              # its name in the file, in Vicon's subject:s
 # floor = "rubber"                  # `snakejax fit --by floor` estimates values of their own for each floor,
 # day = "2024-09-04"                # day
 # session = "morning"               # or session
-# What some files do not say; leave out what yours does. Of a plain table, the columns, in SI units or those given:
+# The next keys give what the file does not state; omit the others. `columns`: the names of the columns of a plain
+# table; `units`: their units, if they are not SI.
 # columns = {time = "t", x = "pos x", y = "pos y", heading = "yaw"}
 # units = {length = "mm", angle = "deg", time = "ms"}
 # up = "z"                          # the axis that points up, or its components: [0.01, 0.0, 1.0]

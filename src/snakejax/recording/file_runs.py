@@ -22,7 +22,7 @@ from .quality import smoothed
 from .readers import FEWEST_SAMPLES, FileAnnotations, PoseTrack, read_capture
 from .readers.capture import X_AXIS_DIRECTIONS, Body
 from .readers.planar_pose import body_of, planar, up_by
-from .readers.table_inputs import ENABLE, STAMP, TableInputs, input_columns, read_columns, table_inputs
+from .readers.table_inputs import ENABLE, STAMP, TableInputs, input_columns, read_table, table_inputs
 
 FILE_KEYS = ("files", "inputs", "kind", "windows", "each")
 WINDOW_KEYS = ("length_s", "most", "rate_hz")
@@ -62,7 +62,7 @@ def files_of(row: Table, folder: Path) -> list[Path]:
         raise row.error("files", "must be a pattern or a list of patterns", f"write {FILES_EXAMPLE}")
     names: dict[str, None] = {}
     for pattern in patterns:
-        matches = sorted(glob.glob(pattern, root_dir=folder))
+        matches = sorted(name for name in glob.glob(pattern, root_dir=folder) if (folder / name).is_file())
         if not matches:
             raise row.error("files", f'"{pattern}" matches no file', "correct the pattern or add the files")
         names |= dict.fromkeys(matches)
@@ -79,9 +79,10 @@ def recordings_of(row: Table, folder: Path, vehicle: AbstractVehicle) -> list[Re
         row.table("inputs", "").require_known([*known, STAMP, ENABLE])
     recordings = []
     for path in files_of(row, folder):
-        columns = input_columns(path, named_columns, vehicle.inputs)
+        text = read_table(path)
+        columns = input_columns(text, named_columns, vehicle.inputs)
         each = row.text("each", 'each = "window"') if "each" in row.values else None
-        table = read_columns(path, [*columns.values(), *([each] if each else [])])
+        table = text.columns([*columns.values(), *([each] if each else [])])
         capture = read_capture(path, hints)
         object = row.text("object", 'object = "car"') if "object" in row.values else next(iter(capture.bodies), "")
         body, up = body_of(capture, object, hints), up_by(capture, hints)
@@ -94,6 +95,8 @@ def recordings_of(row: Table, folder: Path, vehicle: AbstractVehicle) -> list[Re
             part = {key: values[rows] for key, values in table.items()}
             try:
                 recordings.append(_recorded(name, _rows(body, rows), part, columns, (up, hints, object), vehicle, kind))
+            except InputError:
+                raise
             except ValueError as error:
                 raise InputError(f"{name} {error}", str(path), "leave this file out") from None
     return recordings

@@ -66,7 +66,7 @@ def vehicle_template(kind: str) -> str:
     for given in vehicle.inputs:
         lines += [
             "",
-            f"# What stands between the command `{given.name}` and what acts; all keys may be left out.",
+            f"# How the actuator changes the command `{given.name}` before it acts. Every key is optional.",
             f"# [actuator.{given.name}]",
         ]
         lines += ["# gain = 1.0", "# offset = 0.0", "# dead_band = 0.0", "# saturation = 1.0", "# lag_s = 0.1"]

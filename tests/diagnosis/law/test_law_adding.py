@@ -84,3 +84,8 @@ def test_only_rivals_of_the_best_law_are_fitted_to_whole_runs() -> None:
     laws = [proposed((name,), 0.9, left_out) for name, left_out in (("x", 1.3), ("y", 1.2), ("time", 1.7), ("r", 1.35))]
     assert [law.family.variables for law in adding.rivals_of(laws)] == [("x",), ("y",), ("r",)]
     assert adding.rivals_of([]) == []
+
+
+def test_a_new_law_takes_no_name_of_the_model() -> None:
+    like: Any = SimpleNamespace(problem=SimpleNamespace(model=SimpleNamespace(effects={"law_1": None, "law_3": None})))
+    assert adding.law_names(3, like) == ("law_2", "law_4", "law_5")

@@ -9,6 +9,7 @@ from snakejax.core.errors import InputError
 from snakejax.dynamics.inputs import Gait
 from snakejax.dynamics.signals import Sines, Tracked
 from snakejax.recording.quality import estimate_noise, marker_noise, noise_sources
+from snakejax.recording.quality.noise import SLOW_NOISE
 from snakejax.recording.run import Run
 
 SD = np.array([4e-4, 4e-4, 2.5e-3])
@@ -72,14 +73,14 @@ def test_coloured_noise_is_seen_in_repeated_runs(place, rel):
     assert white.position < 0.65 * SD[0] and white.heading < 0.65 * SD[2]
     noise = estimate_noise(runs)
     near(noise, rel)
-    assert noise.source == "estimated from repeated runs, as neighbouring frames share it"
+    assert noise.source == f"estimated from repeated runs, {SLOW_NOISE}"
 
 
 def test_coloured_noise_is_seen_at_rest():
     runs = [run(1, slow=0.75), run(2, slow=0.75, still=0.0)]
     noise = estimate_noise(runs)
     near(noise, 0.2)
-    assert noise.source == "estimated from times of rest, as neighbouring frames share it"
+    assert noise.source == f"estimated from times of rest, {SLOW_NOISE}"
     quiet = estimate_noise([run(1), run(2, still=0.0)])
     near(quiet, 0.05)
     assert quiet.source == "estimated from the recordings; times of rest agree"

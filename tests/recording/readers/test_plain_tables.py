@@ -340,3 +340,26 @@ def test_day_and_month_are_in_one_order_in_all_rows(tmp_path) -> None:
     ]
     track = read_track(put(tmp_path, rows("time,x,y,yaw", clock, x, y, M.heading)), "board")
     np.testing.assert_allclose(track.times, t, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("units", "what"),
+    [
+        ({"lenght": "mm"}, 'Unknown key "lenght" in units'),
+        ({"length": "inches"}, 'Unknown unit "inches" of length'),
+    ],
+)
+def test_units_that_nobody_knows_are_refused(tmp_path, units, what) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("time,x,y,heading\n" + "".join(f"{k / 100},{k},0,0\n" for k in range(20)))
+    with pytest.raises(InputError, match=what):
+        read_capture(path, FileAnnotations(units=units))
+
+
+def test_objects_in_a_column_and_in_names_are_refused(tmp_path) -> None:
+    path = tmp_path / "a.csv"
+    rows = "".join(f"{k / 100},a,{k},0,0\n" for k in range(20))
+    path.write_text("time,id,robot_x,robot_y,robot_yaw\n" + rows)
+    columns = {"object": "id"}
+    captured = read_capture(path, FileAnnotations(columns, {"length": "m", "angle": "rad", "time": "s"}))
+    assert list(captured.bodies) == ["a"]

@@ -72,7 +72,7 @@ def test_of_a_c3d_the_axis_is_believed_and_the_sign_is_found(tmp_path, screen, b
     points = UP[axis](person())
     capture = read_capture(put(tmp_path, c3d(-points if below else points, named(points), up=screen)))
     assert (capture.up, capture.up_known) == (f"-{axis}" if below else axis, True)
-    assert ("is about a display" in capture.up_said) == (below != (screen[0] == "-"))
+    assert ("describes a display" in capture.up_said) == (below != (screen[0] == "-"))
 
 
 @pytest.mark.slow
@@ -81,9 +81,9 @@ def test_a_c3d_whose_sign_nothing_shows(tmp_path):
     points = person() - [0.0, 0.0, 1.0]
     path = put(tmp_path, c3d(points, named(points), up="-Z"))
     capture = read_capture(path)
-    assert capture.up == "z" and "nothing shows which of its ends is up" in capture.up_said
+    assert capture.up == "z" and "neither it nor the markers show which direction is up" in capture.up_said
     track = read_track(path, "", FileAnnotations(markers={"m2": (0.12, 0, 0), "m6": (-0.12, 0, 0)}))
-    assert any("nothing shows which of its ends is up" in note for note in track.notes)
+    assert any("neither it nor the markers show which direction is up" in note for note in track.notes)
 
 
 def high(points):
@@ -153,7 +153,7 @@ def test_real_files(realdata):
     assert read_capture(realdata / "pyomeca_markers.trc").up == "z"
     pytest.importorskip("ezc3d")
     found = read_capture(realdata / "qualisys_y_screen.c3d")
-    assert found.up == "z" and "Y_SCREEN -Z is about a display" in found.up_said
+    assert found.up == "z" and "Y_SCREEN -Z describes a display" in found.up_said
     assert np.nanmedian(found.markers["L_HDF"][:, 2]) > np.nanmedian(found.markers["L_FM1"][:, 2]) + 1
     assert read_capture(realdata / "optitrack_walking.c3d").up == "z"
     assert read_capture(realdata / "sample_static_optotrak.c3d").up_open

@@ -78,7 +78,7 @@ def effects_of(text: str) -> tuple[tuple[str, str] | None, dict[str, float]]:
     **Raises:** `InputError`.
     """
     kind, _, rest = text.partition(":")
-    if kind == "information" or not rest:
+    if kind != "separate" or not rest:
         if text not in ("separate", "information"):
             raise InputError(f"There is no objective `{text}`", WHERE, "write separate:EFFECT,EFFECT or information")
         return None, {}

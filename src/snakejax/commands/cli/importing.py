@@ -24,10 +24,10 @@ _EPILOG = """\
   snakejax import lap.csv --columns "time=t,x=px,y=py,heading=yaw" --to lap.tum"""
 JOINTS = ("rotor", "front_wheelset", "back_wheelset")
 _ASKED = {
-    "mass_kg": "mass of all of it [kg]",
+    "mass_kg": "mass of the whole board, with rotor and wheelsets [kg]",
     "rotor_inertia_kgm2": "inertia of the rotor about its axis [kg m^2]",
     "wheelset_inertia_kgm2": "inertia of one wheelset about its pivot [kg m^2]",
-    "half_length_m": "from the middle of the board to a wheelset [m]",
+    "half_length_m": "distance from the middle of the board to the pivot of a wheelset [m]",
 }
 
 
@@ -65,23 +65,41 @@ def add(commands: Any) -> None:
     which.add_argument("--markers", metavar="NAMES", help="the markers on the board (default: all of the object)")
     which.add_argument("--front", metavar="NAMES", help="the marker or markers at the front end of the board")
     which.add_argument("--back", metavar="NAMES", help="those at its back end; the middle of the board lies between")
-    which.add_argument("--template", metavar="CSV", help="or the marker positions: columns marker,x_m,y_m,z_m")
+    which.add_argument(
+        "--template",
+        metavar="CSV",
+        help="in place of --front and --back: a file of the marker positions, columns marker,x_m,y_m,z_m",
+    )
+    _add_joints(command)
+    command.add_argument(
+        "--board",
+        metavar="SET",
+        action="append",
+        help="measures of the board for a new case: mass_kg=7,half_length_m=0.25,...",
+    )
+    command.add_argument(
+        "--json", metavar="FILE", help="write the contents of the files to FILE; - for standard output"
+    )
+    command.add_argument("--quiet", action="store_true", help="print only errors and the output of --json -")
+
+
+def _add_joints(command: Any) -> None:
+    """Where the joints are, or what they were told to do."""
     joints = command.add_argument_group("joints: tracked objects, or commanded gaits")
     joints.add_argument("--rotor", metavar="NAME", help="the object of the rotor; its angle is measured")
     joints.add_argument("--front-wheelset", metavar="NAME", help="the object of the front wheelset")
     joints.add_argument(
         "--back-wheelset", metavar="NAME", help="the object of the back wheelset, if it is steered separately"
     )
-    joints.add_argument("--phi", metavar="SINES", help="commanded steering: [[amplitude, frequency, phase], ...]")
+    joints.add_argument(
+        "--phi",
+        metavar="SINES",
+        help="commanded steering angle: [[amplitude rad, angular frequency rad/s, phase rad], ...]",
+    )
     joints.add_argument(
         "--phi-back", metavar="SINES", help="commanded steering of the back, if it is steered separately"
     )
-    joints.add_argument("--psi", metavar="SINES", help="commanded rotor angle, in the same form")
-    command.add_argument("--board", metavar="SET", action="append", help="mass_kg=7,half_length_m=0.25,...")
-    command.add_argument(
-        "--json", metavar="FILE", help="write the contents of the files to FILE; - for standard output"
-    )
-    command.add_argument("--quiet", action="store_true", help="print only errors and the output of --json -")
+    joints.add_argument("--psi", metavar="SINES", help="commanded rotor angle, in the same form and units")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -158,6 +176,10 @@ def _object(options: argparse.Namespace, capture: "Capture") -> str | None:
 
     of_markers = [name for name in subjects(capture) if name not in capture.bodies]
     candidates = [*capture.bodies] or of_markers
+    if not candidates and (options.case or options.to):
+        raise InputError(
+            "The file holds no object and no named marker", capture.where, "name the markers and export it again"
+        )
     if options.object is not None:
         if options.object in (*candidates, *of_markers) or candidates == [""]:
             return options.object if options.object in (*candidates, *of_markers) else ""

@@ -124,10 +124,18 @@ def prepared(arguments: Sequence[str]) -> list[str]:
         following = waiting[0] if waiting else ""
         if word == "--start" and re.match(r"-[\d.]", following):
             word, waiting = f"{word}={following}", waiting[1:]
-        elif word == "--robust" and not re.fullmatch(r"[\d.eE+-]+", following):
+        elif word == "--robust" and not _is_number(following):
             word = "--robust="
         words.append(word)
     return words
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -157,7 +165,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _interrupted(at_once: bool) -> int:
     """The line about an interrupt. `at_once` ends the process: a computation that still runs in a thread would fail
     during the interpreter's shutdown."""
-    status = complain("Interrupted; finished results are kept: run the command again to compute the rest", INTERRUPTED)
+    status = complain(
+        "Interrupted. `explain` and `sweep` with --out keep their finished parts: run the same command again to compute"
+        " the rest",
+        INTERRUPTED,
+    )
     if at_once:
         sys.stdout.flush()
         os._exit(status)

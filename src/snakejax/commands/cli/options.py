@@ -56,7 +56,9 @@ def add_output(command: Any) -> None:
         "--json", metavar="FILE", help="write the result to FILE; - for standard output, a folder for several CASEs"
     )
     output.add_argument(
-        "--out", metavar="DIR", help="write result, report and figures into this folder, as COMMAND.json, ..."
+        "--out",
+        metavar="DIR",
+        help="write the result, and the report and figures where there are any, into this folder as COMMAND.json, ...",
     )
     output.add_argument("--quiet", action="store_true", help="print only errors and the output of --json -")
 
@@ -111,14 +113,15 @@ def add_fitting(command: Any) -> Any:
         "--free", metavar="B,C,D,E", help="parameters to estimate (default: all of the tyre and the effects)"
     )
     group.add_argument(
-        "--by", choices=LABELS, help="give them values of their own for each floor, day, session or group of runs"
+        "--by", choices=LABELS, help="estimate separate values of them for each floor, day, session or group of runs"
     )
     group.add_argument(
         "--robust",
         metavar="SD",
         nargs="?",
         const="",
-        help="Huber loss: residuals above SD standard deviations count linearly (default 3)",
+        help="Huber's loss: residuals above SD standard deviations of the noise count linearly (without a number: SD ="
+        " 3). Without --robust: least squares, or SD = 3 where a case has more than 40 windows",
     )
     return group
 
@@ -191,7 +194,7 @@ def given(options: argparse.Namespace) -> Mapping[str, Any]:
     return {
         renamed.get(name, name): value
         for name, value in vars(options).items()
-        if name not in skipped and value not in (None, False)
+        if name not in skipped and value is not None and value is not False
     }
 
 

@@ -17,9 +17,10 @@ def add(commands: Any) -> None:
         "predict",
         run,
         "show how far off saved models are after 1, 2, 3 s",
-        "Predict from many moments of each recording, whose state is estimated from a\n"
-        "lead-in alone, and list the median and 90% of the pose error, group by group.",
-        "snakejax predict data/small-car --from explain.json --horizon 1,2,3 --lead 0.5",
+        "Start a prediction every 0.5 s of each recording. The state at its start is\n"
+        "estimated from the lead-in, the time just before it. List for each group the\n"
+        "median of the pose error, and the value that 90% of the predictions do not exceed.",
+        "snakejax predict data/car --from explain.json --horizon 1,2,3 --lead 0.5",
     )
     command.add_argument("cases", nargs="+", metavar="CASE", help="a folder with case.toml; it needs no train run")
     command.add_argument("--horizon", metavar="S,...", default="1,2,3", help="seconds ahead (default 1,2,3)")

@@ -147,7 +147,7 @@ def _runs_json(simulation: Simulation, poses: Sequence[Any]) -> list[dict[str, A
     return [
         {
             **({"run": run_.name, "role": run_.role} if run_.name not in by_run else run_json(by_run[run_.name])),
-            **_journey(np.asarray(run_.times), pose),
+            **_journey(np.asarray(run_.times), pose, run_.moving),
         }
         for run_, pose in zip(simulation.runs, poses, strict=True)
     ]
@@ -203,7 +203,7 @@ def _pooled(scores: Sequence[Any]) -> Any:
     return pooled_score(scores) if scores else None
 
 
-def _journey(times: Any, pose: Any) -> dict[str, Any]:
+def _journey(times: Any, pose: Any, moving: bool = False) -> dict[str, Any]:
     """Start and end pose, duration, path length, distance and turn of a run, with `pose` (n, 3) [m, m, rad]."""
     import numpy as np
 
@@ -211,7 +211,7 @@ def _journey(times: Any, pose: Any) -> dict[str, Any]:
     return {
         "start": {"x_m": float(pose[0, 0]), "y_m": float(pose[0, 1]), "heading_rad": float(pose[0, 2])},
         "end": {"x_m": x, "y_m": y, "heading_rad": heading},
-        "duration_s": float(times[-1]),
+        "duration_s": float(times[-1] - times[0]) if moving else float(times[-1]),
         "path_m": float(np.linalg.norm(np.diff(pose[:, :2], axis=0), axis=1).sum()),
         "distance_m": float(np.hypot(*(pose[-1, :2] - pose[0, :2]))),
         "turn_rad": float(pose[-1, 2] - pose[0, 2]),
@@ -220,7 +220,7 @@ def _journey(times: Any, pose: Any) -> dict[str, Any]:
 
 def csv_text(times: Any, pose: Any) -> str:
     """A simulated run as CSV text: `times` (n,) [s] and `pose` (n, 3) [m, m, rad], heading unwrapped."""
-    rows = (f"{t:.6g},{x:.9g},{y:.9g},{heading:.9g}" for t, (x, y, heading) in zip(times, pose, strict=True))
+    rows = (f"{t:.9g},{x:.9g},{y:.9g},{heading:.9g}" for t, (x, y, heading) in zip(times, pose, strict=True))
     return "\n".join([COLUMNS, *rows]) + "\n"
 
 

@@ -46,7 +46,7 @@ def add(commands: Any) -> None:
         commands,
         "sweep",
         run,
-        "parameters against the Rayleigh coefficient k_s",
+        "vary parameters, and find the Rayleigh coefficient k_s of the nearest board",
         "Vary one parameter of a board, find for each value the Rayleigh board with the\n"
         "nearest path, and fit k_s by a polynomial of order 4; or vary several in all\n"
         "combinations. For a Rayleigh or ideal board no k_s is fitted; the sweep lists\n"
@@ -61,7 +61,7 @@ def add(commands: Any) -> None:
         "--vary",
         metavar="D=0.5:10:41",
         action="append",
-        help="a parameter, its first and last value, and how many. May be repeated",
+        help="NAME=FIRST:LAST:COUNT: a parameter, its first and last value [SI], the number of values. May be repeated",
     )
     command.add_argument(
         "--table", metavar="FILE.csv", help="in place of --vary: a column for each parameter, a row for each board"

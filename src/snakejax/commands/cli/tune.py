@@ -34,8 +34,9 @@ def add(commands: Any) -> None:
     group = add_gait(
         command,
         "distance",
-        "distance (default), turn, reach:X,Y,HEADING, effort:DISTANCE (least effort for this distance), or"
-        " FILE.py:function (a cost of times, pose and effort, minimised)",
+        "distance (default), turn, reach:X,Y,HEADING (the pose at the end [m, m, rad]), effort:DISTANCE (the least"
+        " integral of squared joint torques for this distance [m]), or FILE.py:function (a cost"
+        " of times, pose and effort, minimised)",
     )
     group.add_argument(
         "--over",

@@ -140,7 +140,7 @@ def _fitted(
     case: Case, noise: Noise, candidate_set: CandidateSet, search: Search, base: Sequence[str], one: Proposal
 ) -> FittedLaw | None:
     """The model with the law of a proposal, its effects chosen again; None where the law is not among them then."""
-    (name,) = law_names(1)
+    (name,) = law_names(1, candidate_set)
     own_set, own = search_with(case, noise, candidate_set, search, base, {name: one.law}, {name: one.forms})
     try:
         linear = with_predicting_effects(own, revised(own, start_of(search, own, one.weak, name, one.law)))

@@ -94,6 +94,7 @@ def _step(assessment: Assessment, name: str, effects: tuple[str, ...], fitted_st
         fitted_model(model, problem, solution, judged.heldout_fit),
         loose=tuple(assessment.search.model.names[k] for k in best.free),
         covariance=best.covariance,
+        spread=1.0,  # the covariance counts what the model lacks
     )
     return SelectionStep(
         change="added",

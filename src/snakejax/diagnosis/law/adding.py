@@ -1,5 +1,6 @@
 """A proposed law as an effect of the model: fitted to whole train runs, and kept where it predicts runs left out."""
 
+import itertools
 from collections import OrderedDict
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -46,12 +47,13 @@ class AddedLaws(NamedTuple):
     @property
     def names(self) -> tuple[str, ...]:
         """The names of the laws as effects."""
-        return law_names(len(self.laws))
+        return self.fit.effects[-len(self.laws) :]
 
 
-def law_names(count: int) -> tuple[str, ...]:
-    """`law_1`, `law_2`, ..."""
-    return tuple(f"law_{k + 1}" for k in range(count))
+def law_names(count: int, like: CandidateSet) -> tuple[str, ...]:
+    """`law_1`, `law_2`, ...: names that no law of the model of `like` has."""
+    free = (name for k in itertools.count(1) if (name := f"law_{k}") not in like.problem.model.effects)
+    return tuple(itertools.islice(free, count))
 
 
 def candidate_set_with(
@@ -78,7 +80,7 @@ def fitted_laws(
     laws: Sequence[ProposedLaw],
 ) -> tuple[CandidateSet, CandidateFit]:
     """The model with `effects` and `laws` fitted to whole train runs, from where the windows have it."""
-    named = dict(zip(law_names(len(laws)), laws, strict=True))
+    named = dict(zip(law_names(len(laws), like), laws, strict=True))
     built: dict[str, Effect] = {n: law_class(law.expression, law.parameters)() for n, law in named.items()}
     candidate_set = candidate_set_with(case, noise, like, effects, built)
     values, known = candidate_set.problem.values(), parameters(candidate_set.problem.model)

@@ -312,4 +312,4 @@ def _why(one: Candidate, taken: bool, later: bool, criteria: SelectionCriteria) 
         return f"refused: the improvement is too small, {gained}"
     if not one.p_value < criteria.agreement_level:
         return f"refused: the recordings do not agree on its value (p = {one.p_value:.2g})"
-    return f"refused: another effect does more, or it does less in the full fit; {gained}"
+    return f"refused: another effect lowers the error more, or this one lowers it less in the full fit; {gained}"

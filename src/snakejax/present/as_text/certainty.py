@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 
+from snakejax.core.parameter import parameters, unit_text
 from snakejax.core.tabular import listed
 from snakejax.diagnosis.explanation import Explanation
 from snakejax.diagnosis.residuals.horizon import horizon_errors
@@ -36,7 +37,10 @@ def law_sentences(explanation: Explanation) -> Iterator[str]:
         return
     shares = [f"{variable.replace('_', ' ')} {percent(share)}" for variable, share in force.depends_on[:3]]
     if shares:
-        yield f"One variable alone predicts this share of the missing force on omitted runs: {', '.join(shares)}."
+        yield (
+            "Share of the squared error above the noise, on omitted runs, that a force of one variable alone predicts:"
+            f" {', '.join(shares)}."
+        )
     taken = {law.expression for law in explanation.named_laws.values()}
     others = [law for law in force.laws if law.expression not in taken]
     least = min(law.left_out for law in force.laws)
@@ -157,10 +161,12 @@ def band_sentences(explanation: Explanation) -> Iterator[str]:
 
 def odd_run_sentences(explanation: Explanation) -> Iterator[str]:
     """The runs that differ from the others, and by what."""
+    known = parameters(explanation.final.model)
     for odd in explanation.odd_runs:
         value = f"{number(odd.shift, odd.sd)} +- {number(odd.sd, odd.sd)}"
-        alike = f", or {listed(odd.alike, 'or')}," if odd.alike else ""
+        unit = unit_text(known[odd.parameter].domain.unit) if odd.parameter in known else ""
+        alike = f" Another value of {listed(odd.alike, 'or')} explains it nearly as well." if odd.alike else ""
         yield (
-            f"Run {odd.run} differs from the others, as if {odd.parameter}{alike} were {value} more there"
-            f" (p = {odd.p_value:.1g}). Look at this run, or leave it out."
+            f"Run {odd.run} differs from the others: the model fits it better with {odd.parameter} changed by"
+            f" {value}{unit} in this run alone (p = {odd.p_value:.1g}).{alike} Check this run, or leave it out."
         )

@@ -12,9 +12,9 @@ WINDOWS, PREDICTED, REFIT = "windows / noise", "predicted / noise", "refit / noi
 EXPECTED, DETECTS = "expected", "detects"
 """Titles of a value, and of the smallest one that would show."""
 
-ORDER = "The candidates that were refitted come first, by the error that is left; then the others, by their evidence."
+ORDER = "Refitted candidates come first, the smallest error first; then the others, in the order of the test."
 """The order of a table of candidates."""
-P_AND_SD = "+- may count more than p does, such as how much the runs differ: a small p can go with a large +-."
+P_AND_SD = "+- may include the differences between runs, p does not: a small p can occur with a large +-."
 """Why p and +- of a candidate need not agree."""
 
 

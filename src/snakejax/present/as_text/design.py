@@ -13,6 +13,9 @@ from snakejax.design.tuning import TuningResult
 from .errors import POSE_ERRORS, milli_text, missed_text
 from .tables import add_row, indented, named, plain_table
 
+RIGHT_ANSWER = "probability of the right answer"
+"""The column of `correct_selection_probability`."""
+
 
 def report(name: str, objective: str, tuned: TuningResult, over: str, with_payload: str = "") -> Any:
     """The report of a tuned gait."""
@@ -83,7 +86,7 @@ def separation_report(name: str, design: DiscriminationDesign, with_payload: str
     """The report of a run designed to distinguish two effects."""
     one, other = design.effects
     strong = ", ".join(f"{n.removeprefix('effects.')} = {v:.3g}" for n, v in design.strengths.items())
-    table = plain_table("data", "correct selection", right=("correct selection",))
+    table = plain_table("data", RIGHT_ANSWER, right=(RIGHT_ANSWER,))
     add_row(table, "the given runs alone", f"{100 * design.before:.1f} %")
     for a in design.advice:
         add_row(table, f"{a.do}, as in {a.run}", f"{100 * a.certainty:.1f} %")
@@ -103,11 +106,14 @@ def separation_report(name: str, design: DiscriminationDesign, with_payload: str
     shown = before[0].removeprefix("effects.")
     return Group(
         Text(f"{name}: {one} or {other}?", style="bold"),
-        Text(f"at {strong}"),
+        Text(f"The probabilities hold for {strong}."),
         Text(),
         indented(table),
         Text(need),
-        Text(f"95 % correct selection from {shown} = {before[1]:.3g}, with the designed run from {after[1]:.3g}."),
+        Text(
+            f"The right effect is selected in 95 % of the cases if {shown} is at least {before[1]:.3g} with the given"
+            f" runs, or at least {after[1]:.3g} with the designed run."
+        ),
         *_gait_lines(design.tuned),
     )
 

@@ -179,7 +179,7 @@ def candidate_table(step: SelectionStep, most: int = 6, detectable: bool = False
     legend += f" / noise: remaining error in multiples of the noise: {first}, and refitted on whole runs."
     if (without := misfit_without(step)) is not None:
         legend += f" Without a candidate it is {times_noise_text(without)} {'on whole runs' if near else first}."
-    legend += f" {ORDER} {P_AND_SD} expected: by the linear model; a refit may give another."
+    legend += f" {ORDER} {P_AND_SD} expected: the value by the linear model; a refit may give another one."
     if detectable:
         legend += " detects: the smallest value that these runs would show if the model were otherwise right."
     if any(ranked.converged is False for ranked in step.ranking[:most]):

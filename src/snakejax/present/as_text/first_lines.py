@@ -57,7 +57,10 @@ def _missing(force: LatentForce) -> str:
     depends = "It depends on no variable of these runs."
     if force.shape is not None and force.depends_on:
         variable, share = force.depends_on[0]
-        depends = f"It depends on {variable.replace('_', ' ')} ({100 * share:.0f} % of it)."
+        depends = (
+            f"A force that depends on {variable.replace('_', ' ')} alone predicts {100 * share:.0f} % of the squared"
+            " error above the noise on omitted runs."
+        )
     return f"A force is missing: {components_text(force)} (root mean square). {depends}"
 
 

@@ -12,7 +12,9 @@ from .tables import add_row, indented, plain_table
 def prediction_report(name: str, groups: Predictions, lead: float) -> RenderableType:
     """A table for each group: median and 90% of the error of each model after each horizon."""
     parts: list[RenderableType] = [Text(name, style="bold")]
-    parts.append(Text(f"errors after so many seconds; the state is known from {lead:g} s before"))
+    parts.append(
+        Text(f"errors of predictions after the stated seconds; the start state is estimated from the {lead:g} s before")
+    )
     right = ("after\n[s]", "position\n[mm]", "90%\n[mm]", "heading\n[mrad]", "90%\n[mrad]", "windows")
     for group, models in groups.items():
         table = plain_table(group, *right, right=right)

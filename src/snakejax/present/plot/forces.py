@@ -70,5 +70,5 @@ def missing(explanation: Explanation) -> Figure:
     bars = below.subplots()
     names, shares = zip(*explanation.missing.depends_on, strict=True)
     bars.barh(names[::-1], 100 * np.array(shares[::-1]), color=TRAIN)
-    bars.set(xlabel="share of the excess that each variable predicts on excluded runs [%]", xlim=(0, 100))
+    bars.set(xlabel="squared error above the noise that each variable alone predicts, omitted runs [%]", xlim=(0, 100))
     return figure

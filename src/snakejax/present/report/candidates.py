@@ -111,7 +111,7 @@ def _outcome(one: Json, taken: str | None, why: Refusal) -> str:
     if not why.adds:
         return "refitted"
     if why.least is not None and one["refit_misfit"] > why.least:
-        return "refused: another leaves less"
+        return "refused: another candidate leaves a smaller error"
     return "refused: more than noise remains"
 
 

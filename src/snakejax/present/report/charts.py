@@ -220,7 +220,12 @@ def dependence(shares: Sequence[Json]) -> Chart:
         "marker": {"color": TRAIN},
         "hovertemplate": "%{y}: %{x:.1f} %<extra></extra>",
     }
-    layout = axes("share that it predicts [%]", "", yaxis={"automargin": True}, xaxis={"range": [0, 100]})
+    layout = axes(
+        "squared error above the noise that it predicts, omitted runs [%]",
+        "",
+        yaxis={"automargin": True},
+        xaxis={"range": [0, 100]},
+    )
     return Chart("dependence", "What the missing force depends on.", (trace,), layout, 90 + 22 * len(shares))
 
 

@@ -189,7 +189,7 @@ def missing(result: Json, size: str, charts: Sequence[figures.Chart]) -> Section
         f"Its root mean square is {size}. A component that is not determined is not shown.",
         f"These effects remain significant with it: {', '.join(left['beside'])}." if left["beside"] else None,
         f"It depends most on {shares[0]['variable']}: this variable alone predicts {100 * shares[0]['share']:.0f}% of"
-        " the error above the noise on omitted runs."
+        " the squared error above the noise on omitted runs."
         if shares
         else "No variable of these runs predicts it.",
         f"These effects lower the error without explaining it: {', '.join(left['partial'])}."

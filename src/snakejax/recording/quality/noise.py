@@ -39,6 +39,8 @@ STILL = 1e-3
 """Rate [rad/s] below which a joint stands still."""
 SLOWER = {"repeats": "repeated runs", "rest": "times of rest"}
 """The sources that see slow noise too, as a reader knows them."""
+SLOW_NOISE = "as a part of the noise is slow and neighbouring frames do not show it"
+"""Why one of them was preferred."""
 KNOTS = 0.5
 """Two runs of one gait may differ by something as slow as this [s] that is no noise: the floor, the start."""
 ALIKE = (0.05, 0.1)
@@ -78,9 +80,7 @@ def estimate_noise(runs: Sequence[Run]) -> Noise:
         if any(above):
             # A channel whose noise is white keeps what the many differences say.
             sds = [slow if coloured else fast for slow, fast, coloured in zip(one[:2], white[:2], above, strict=True)]
-            return Noise(
-                *map(np.asarray, sds), source=f"estimated from {SLOWER[name]}, as neighbouring frames share it"
-            )
+            return Noise(*map(np.asarray, sds), source=f"estimated from {SLOWER[name]}, {SLOW_NOISE}")
     agree = f"; {' and '.join(SLOWER[name] for name in slower)} agree" if slower else ""
     return Noise(np.asarray(white.position), np.asarray(white.heading), f"estimated from the recordings{agree}")
 

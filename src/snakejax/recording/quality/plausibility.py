@@ -66,7 +66,7 @@ def units(track: PoseSeries) -> list[Finding]:
     if position > QUIET and heading > 0 and not ARMS[0] <= position / heading <= ARMS[1]:
         arm = position / heading
         wrong = "length" if arm > ARMS[1] or heading < 0.05 else "angle"
-        what = f"noise of {position:.2g} m goes with {heading:.2g} rad, as of markers {arm:.2g} m apart"
+        what = f"noise of position {position:.2g} m, of heading {heading:.2g} rad, as of markers {arm:.2g} m apart"
         return unit_finding(f"{what}: is the unit of {wrong} right?", arm, "m")
     return []
 
@@ -86,15 +86,15 @@ def up_axis(track: PoseSeries) -> list[Finding]:
         and (still[1 - along] or spread[1 - along] < FLAT * spread[along])
     ):
         return []
-    what = f"{CHANNELS[1 - along]} and the heading stand still while {CHANNELS[along]} goes {spread[along]:.2g} m"
+    what = f"{CHANNELS[along]} changes by {spread[along]:.2g} m, but {CHANNELS[1 - along]} and the heading stand still"
     frames = np.flatnonzero(track.present)
-    remedy = "export it with the axis up that the file states"
+    remedy = "export the file again, so that the axis that it states as vertical points up"
     return [
         finding(
             "up_axis",
             track,
             frames,
-            f"{what}: does that axis point up?",
+            f"{what}, as of a floor seen from the side: is the vertical axis right?",
             remedy,
             size=float(spread[along]),
             unit="m",

@@ -88,10 +88,11 @@ def _along(markers: dict[str, np.ndarray], axis: str, screen: str) -> Upward:
     """The end of `axis` that points up, where the file's Y_SCREEN is `screen`."""
     side = side_of(markers, axis)
     if side is None:
-        return Upward(axis, "the axis is the file's; nothing shows which of its ends is up; change it with --up")
-    reason = "the axis is the file's, and its markers lie above the floor that way"
+        reason = "the file names this axis; neither it nor the markers show which direction is up; change it with --up"
+        return Upward(axis, reason)
+    reason = "the file names this axis, and its markers lie above the floor in this direction"
     if (side[0] == "-") != screen.startswith("-"):
-        reason += f"; Y_SCREEN {shown(screen)} is about a display"
+        reason += f"; the sign in Y_SCREEN {shown(screen)} describes a display and is not used"
     return Upward(side, reason)
 
 

@@ -6,6 +6,8 @@ import re
 from snakejax.core.errors import InputError
 from snakejax.core.text_files import LARGEST
 
+_SEPARATOR = re.compile(r"sep=[,;\t]?", re.IGNORECASE)
+
 
 def separator_of(text: str) -> tuple[str, str]:
     """What divides the cells of a table, and its decimal mark: in a table divided by `;` a comma is one too."""
@@ -25,6 +27,11 @@ def split(line: str, separator: str) -> list[str]:
 def is_blank(line: str) -> bool:
     """Whether no cell of the line holds anything."""
     return not line.strip(' \t,;"')
+
+
+def is_comment(line: str) -> bool:
+    """Whether no table begins with `line`: it is blank, or a comment, or tells Excel the separator, as `sep=;` does."""
+    return is_blank(line) or line.startswith("#") or bool(_SEPARATOR.fullmatch(line.strip(' "')))
 
 
 def number(cell: str, name: str, where: str, decimal: str = ".") -> float:

@@ -53,6 +53,7 @@ def columns_of(names: Sequence[str], units: Sequence[str], hints: FileAnnotation
 
     **Raises:** `InputError` where the map names a column that is not there, or the names do not do.
     """
+    require_units(hints.units or {}, where)
     mapped = _mapped(names, units, hints.columns or {}, hints.units or {}, where)
     roles = {column.role for column in mapped}
     if {"x", "y", "time"} <= roles:
@@ -145,6 +146,16 @@ def _ending(name: str, quantity: str | None) -> str:
     return words.unit if words and words.unit in UNITS.get(quantity or "", ()) else ""
 
 
+def require_units(units: Mapping[str, str], where: str) -> None:
+    """Check the units that a user states. **Raises:** `InputError` for an unknown quantity or unit."""
+    for quantity, unit in units.items():
+        if quantity not in UNITS:
+            raise InputError(f'Unknown key "{shown(quantity)}" in units', where, instead_of(quantity, tuple(UNITS)))
+        if _factor(unit, quantity) is None:
+            known = " or ".join(UNITS[quantity])
+            raise InputError(f'Unknown unit "{shown(unit)}" of {quantity}', where, f"write {known}")
+
+
 def _factor(unit: str, quantity: str | None) -> float | None:
     """What makes SI of `unit`, such as "mm", or "0.01 s" where a column counts hundredths."""
     if quantity is None:
@@ -184,7 +195,12 @@ def capture_of(
     bodies: dict[str, Body] = {}
     markers: dict[str, np.ndarray] = {}
     if labels is not None:
-        parts = by_object[""]
+        if len(by_object) != 1:
+            what = (
+                f"The columns are of several objects ({', '.join(map(shown, by_object))}), beside a column of objects"
+            )
+            raise InputError(what, where, f"say which columns to read: {_EXAMPLE}")
+        (parts,) = by_object.values()
         objects, of = np.unique(np.asarray(labels), return_inverse=True)
         for i, name in enumerate(objects):
             object_parts = {role: column[of == i] for role, column in parts.items()}

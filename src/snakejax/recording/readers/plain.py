@@ -18,7 +18,7 @@ from snakejax.core.errors import InputError, at_line
 
 from .assumed import SI
 from .capture import Capture, Source
-from .cells import is_blank, separator_of, split
+from .cells import is_comment, separator_of, split
 from .columns import COUNTED, LOST, Column, capture_of, columns_of
 from .dates import is_date, seconds
 from .names import AXES, UNIT_OF, without_unit
@@ -28,20 +28,19 @@ MOST_COMMENTS = 100
 """Lines of comment that may stand before a table."""
 TUM = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
 _AXIS = re.compile(r"[xyz]( ?[\[(]\w+[\])])?", re.IGNORECASE)
-_SEPARATOR = re.compile(r"sep=[,;\t]?", re.IGNORECASE)
 
 
 def recognises(source: Source) -> bool:
     """Whether the first row that is no comment has three cells or more."""
     lines = source.text[:2_000_000].split("\n", MOST_COMMENTS)
-    first = next((line for line in lines if not _is_comment(line)), "")
+    first = next((line for line in lines if not is_comment(line)), "")
     return len(_cells(first, _divider(first))) > 2 and first.isprintable() | ("\t" in first)
 
 
 def read(source: Source) -> Capture:
     """All objects. **Raises:** `InputError` with file, line and remedy."""
     path, lines = source.path, source.lines
-    at = next(i for i, line in enumerate(lines) if not _is_comment(line))
+    at = next(i for i, line in enumerate(lines) if not is_comment(line))
     separator = _divider(lines[at])
     decimal = separator_of("\n".join(lines[at : at + 40]))[1] if separator in ";\t" else "."
     names, hints, first, tum = _cells(lines[at], separator), source.hints, at, False
@@ -64,11 +63,6 @@ def read(source: Source) -> Capture:
     if dated:
         columns = [c._replace(unit="s") if c.role == "time" else c for c in columns]
     return capture_of("TUM" if tum else "plain CSV", source, where, names, columns, values, labels)
-
-
-def _is_comment(line: str) -> bool:
-    """Whether no table begins with `line`: it is blank, or a comment, or tells Excel the separator, as `sep=;` does."""
-    return is_blank(line) or line.startswith("#") or bool(_SEPARATOR.fullmatch(line.strip(' "')))
 
 
 def _header(names: list[str], below: list[list[str]], decimal: str) -> tuple[list[str], list[str], int]:

@@ -84,7 +84,7 @@ def read(source: Source) -> Capture:
             place = on_grid(frames, block[:, :3] * LENGTH["mm"])
             bodies[name] = Body(times, place, on_grid(frames, rotation), table.rows.where(0))
     notes = []
-    if (stated := facts.get("NO_OF_FRAMES", [""])[0]) and stated != str(len(table.values)):
+    if (stated := first_of(facts, "NO_OF_FRAMES")) and stated != str(len(table.values)):
         notes.append(f"its header says {shown(stated)} frames, but {len(table.values)} are there")
     where, doubled = at_line(path, places[key]), repeated(names)
     return Capture("Qualisys TSV", path, where, rate, "mm", bodies, markers, times, doubled=doubled, notes=notes)
@@ -142,8 +142,13 @@ def _is_spaced(rows: Rows, lead: int, parts: int, count: int) -> bool:
     return bool(table) and all(len(cells) >= wide and not any(cells[i].strip() for i in gaps) for cells in table)
 
 
+def first_of(facts: dict[str, list[str]], key: str) -> str:
+    """The first value of a key of the header; empty where it has none."""
+    return (facts.get(key) or [""])[0]
+
+
 def _rate(facts: dict[str, list[str]], places: dict[str, int], path: object, table: Table) -> float:
-    stated, times = facts.get("FREQUENCY", [""])[0], table.column("Time")
+    stated, times = first_of(facts, "FREQUENCY"), table.column("Time")
     where = at_line(path, places.get("FREQUENCY", 1))
     if stated == "EXT" and times is not None and len(times) > 1 and times[-1] > times[0]:
         return (len(times) - 1) / float(times[-1] - times[0])

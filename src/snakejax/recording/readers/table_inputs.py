@@ -17,7 +17,7 @@ from snakejax.core.errors import InputError, at_line, instead_of
 from snakejax.core.text_files import read_text
 from snakejax.dynamics.inputs import Input
 
-from .cells import is_blank, separator_of, split
+from .cells import is_blank, is_comment, separator_of, split
 from .input_log import SUFFIX
 from .numeric_table import Rows, numbers
 
@@ -43,35 +43,65 @@ class TableInputs(NamedTuple):
     notes: tuple[str, ...]
 
 
-def read_columns(path: Path, wanted: Sequence[str]) -> dict[str, Float[np.ndarray, " n"]]:
-    """The columns `wanted` of the table at `path`, whose first row has the names.
+class InputTable(NamedTuple):
+    """A table as text: the names of its columns, which are in line `line`, counted from 1, and its `rows`."""
 
-    **Raises:** `InputError` where one is not there or holds what is no number.
-    """
+    header: list[str]
+    line: int
+    rows: Rows
+
+    @property
+    def where(self) -> str:
+        """The file and the line of the names."""
+        return at_line(self.rows.path, self.line)
+
+    def columns(self, wanted: Sequence[str]) -> dict[str, Float[np.ndarray, " n"]]:
+        """The columns `wanted`; others may hold anything.
+
+        **Raises:** `InputError` where one is not there, or has a cell that is blank or no number.
+        """
+        for name in wanted:
+            if name not in self.header:
+                raise InputError(f'There is no column "{name}"', self.where, instead_of(name, self.header))
+        names = list(dict.fromkeys(wanted))
+        indices = [self.header.index(name) for name in names]
+        kept = []
+        for row in range(len(self.rows.lines)):
+            cells = self.rows.cells(row)
+            if len(cells) <= max(indices):
+                what = f"The row has {len(cells)} cells, but there are {len(self.header)} columns"
+                raise InputError(what, self.rows.where(row), "complete the row, or remove it")
+            kept.append("\t".join(cells[i] for i in indices))
+        table = numbers(self.rows._replace(lines=kept, separator="\t"), names)
+        for column, name in enumerate(names):
+            if (blank := np.flatnonzero(np.isnan(table[:, column]))).size:
+                where = self.rows.where(int(blank[0]))
+                raise InputError(f"The cell of {name} is blank", where, "fill it, or remove the row")
+        return dict(zip(names, table.T, strict=True))
+
+
+def read_table(path: Path) -> InputTable:
+    """The table at `path`, whose first row that is no comment has the names. **Raises:** `InputError`."""
     text = read_text(path)
     separator, decimal = separator_of(text[:100_000])
     lines = text.split("\n")
     while len(lines) > 1 and is_blank(lines[-1]):
         lines.pop()
-    header = split(lines[0], separator)
-    for name in wanted:
-        if name not in header:
-            raise InputError(f'There is no column "{name}"', at_line(path, 1), instead_of(name, header))
-    if len(lines) < 2:
-        raise InputError("The table ends before its first row", at_line(path, 1), "export the file again")
-    table = numbers(Rows(path, lines[1:], 2, separator, decimal), header)
-    return {name: table[:, header.index(name)] for name in wanted}
+    first = next((i for i, line in enumerate(lines) if not is_comment(line)), 0)
+    table = InputTable(
+        split(lines[first], separator), first + 1, Rows(path, lines[first + 1 :], first + 2, separator, decimal)
+    )
+    if not table.rows.lines:
+        raise InputError("The table ends before its first row", table.where, "export the file again")
+    return table
 
 
-def input_columns(path: Path, named_columns: Mapping[str, str], inputs: Sequence[Input]) -> dict[str, str]:
+def input_columns(table: InputTable, named_columns: Mapping[str, str], inputs: Sequence[Input]) -> dict[str, str]:
     """The column of each input, of the stamp and of the safety, by what `named_columns` says or by its name.
 
     **Raises:** `InputError` where an input that must be given has none.
     """
-    with path.open(encoding="utf-8", errors="replace") as file:
-        line = file.readline().rstrip("\r\n")
-    header = split(line, separator_of(line)[0])
-    columns = dict(named_columns)
+    header, columns = table.header, dict(named_columns)
     for one in inputs:
         known = (one.name + SUFFIX[one.kind], one.name, one.label, *ALIASES.get(one.name, ()))
         column = next((name for name in known if name in header), None)
@@ -79,7 +109,7 @@ def input_columns(path: Path, named_columns: Mapping[str, str], inputs: Sequence
             columns[one.name] = column
         if one.name not in columns and one.follows is None:
             remedy = f'write inputs = {{{one.name} = "its column"}}'
-            raise InputError(f"No column holds the input {one.name}", at_line(path, 1), remedy)
+            raise InputError(f"No column holds the input {one.name}", table.where, remedy)
     for role in (STAMP, ENABLE):
         column = next((name for name in ALIASES[role] if name in header), None)
         if role not in columns and column is not None:
