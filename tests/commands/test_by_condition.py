@@ -131,5 +131,5 @@ def test_a_floor_with_less_grip_is_named(tmp_path: Path) -> None:
 
 
 def test_values_by_floor_need_windows_to_be_searched_for() -> None:
-    with pytest.raises(sj.InputError, match="searched for in windows of recordings only"):
+    with pytest.raises(sj.InputError, match="needs train runs that are windows of recordings"):
         diagnose_case(two_floors(), {"by": "floor"})

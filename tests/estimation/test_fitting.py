@@ -230,7 +230,7 @@ def test_random_starts_reach_the_same_optimum(level, level_workspace):
             assert abs(estimate.value - level.estimates[name].value) < 0.1 * level.estimates[name].sd, (seed, name)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_recording_without_slip_cannot_tell_B_C_and_E_apart(recordings):
     """`board-g` slips so little that the slope of the tyre force at the origin is all there is to see."""
     case = load_case(recordings / "board-g")
@@ -424,7 +424,7 @@ ROLLING = (
 """Gaits whose first seconds say nothing of a tyre that slides late: a fit of whole runs from there ends at E = 1."""
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_fit_that_gets_stuck_is_tried_from_windows() -> None:
     """It ends no worse than one that starts at the truth; by 437 in chi^2 where it is left stuck."""
     truth = {"tyre.B": 10.077, "tyre.C": 1.539, "tyre.D": 2.433, "tyre.E": -0.411}

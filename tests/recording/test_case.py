@@ -198,7 +198,7 @@ COMPLAINTS = {
     "no runs": (TOML[: TOML.index("[[runs]]")], "title", "Missing key runs", "add [[runs]]"),
     "runs as one table": (TOML[: TOML.index("\n[[runs]]\nrole = \"held")].replace("[[runs]]", "[runs]"), "[runs]",
                           "must be an array of tables", "[[runs]]"),
-    "same stem": (TOML.replace("heldout-1.csv", "old/train-1.csv"), "old/train-1", 'stem "train-1"', "rename one"),
+    "same stem": (TOML.replace("heldout-1.csv", "old/train-1.csv"), "old/train-1", 'same name "train-1"', "rename one"),
     "up": (with_run('up = "w"'), "up = ", "up in [[runs]] 1 cannot be 'w'", "known: z, y"),
     "up in components": (with_run("up = [0.0, 0.0]"), "up = ", "must be a list of 3 finite numbers", "up = ["),
     "up to nowhere": (with_run("up = [0, 0, 0]"), "up = ", "has no direction", "components"),

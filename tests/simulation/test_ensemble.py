@@ -93,7 +93,7 @@ def test_a_lane_that_gives_up_is_infinite_and_harms_no_other() -> None:
     assert np.isfinite(found[0]).all() and np.isinf(found[1]).all()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_eight_devices_share_the_lanes_and_find_the_same(tmp_path: Path) -> None:
     example = preset("paper-rotate")
     times = np.linspace(0.0, 2.0, 3)

@@ -207,6 +207,7 @@ WITHIN = 1e-6
 TYRES = {"recordings": Pacejka(8.0, 1.4, 4.0, 0.1), "Table II": ROTATE.model.tyre, "viscous": Rayleigh(10.0)}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("tyre", TYRES)
 @pytest.mark.parametrize("constraint", ["free", "coupled"])
 def test_the_error_at_the_default_accuracy_is_that_of_the_benchmark(constraint, tyre) -> None:

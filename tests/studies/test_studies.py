@@ -16,6 +16,7 @@ from snakejax.present.views import views_of_steps
 pytestmark = pytest.mark.slow
 
 
+@pytest.mark.long
 def test_the_hidden_effect_is_found_and_explains_the_recording(hidden_effect, study_folder):
     """`tilted-floor` was made on a floor that rises by 3 mm/m along x and falls by 2 mm/m along y."""
     found = hidden_effect
@@ -51,7 +52,8 @@ def test_the_law_of_what_no_library_holds_is_found_and_is_the_same_as_an_effect_
     assert found.base.train.misfit > 100 * found.final.train.misfit
 
 
-@pytest.mark.parametrize("study", ["hidden_effect", pytest.param("own_effect", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("study", ["hidden_effect", "own_effect"])
 def test_the_story_of_a_bundled_recording(study, request, browser, tmp_path) -> None:
     found = request.getfixturevalue(study)
     found = found[0] if isinstance(found, tuple) else found

@@ -91,7 +91,7 @@ def test_a_payload_is_said_where_any_run_has_one(case) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("over", ["mean", "worst"])
+@pytest.mark.parametrize("over", [pytest.param("mean", marks=pytest.mark.long), "worst"])
 def test_a_gait_for_draws_from_the_fit_does_on_them_what_is_said(told, over) -> None:
     """Two seconds leave B and C open."""
     found, *_ = told("--over", over)
@@ -136,7 +136,7 @@ def test_the_two_that_look_most_alike_are_found(told, monkeypatch) -> None:
     assert set(alike["separate"]["effects"]) < set(few) and alike["separate"]["after"] > alike["separate"]["before"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_run_says_more_about_the_tyre(told) -> None:
     with_tighter_tolerances, *_ = told("--model", "rayleigh", "--objective", "information")
     sds = with_tighter_tolerances["information"]

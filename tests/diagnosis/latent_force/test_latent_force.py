@@ -105,7 +105,7 @@ def test_a_spring_in_the_world_depends_on_the_place(spring):
     assert spring.shape.carrier == "world"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_of_two_structures_the_force_is_counted_beside_the_one_that_leaves_less():
     """A spring pulls at a coupled board, which feels nothing lateral."""
     case, few = made("coupled", spring=Spring()), {"yaw_bias": LIBRARY["yaw_bias"]()}
