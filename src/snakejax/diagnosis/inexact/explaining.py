@@ -18,7 +18,7 @@ from ..selection.criteria import SelectionCriteria
 from ..selection.steps import SelectionStep
 from .assessment import Assessment, assess
 from .candidate_model import candidate_model, movable_parameters
-from .evidence import world
+from .evidence import model_evidence
 from .laws import LawChoice, choose_law
 from .left_out import with_predicting_effects
 from .revision import search_effects
@@ -50,7 +50,7 @@ def assess_effects(
     search = Search(segments, priors, scales, candidate_set.criteria, progress)
     linear = with_predicting_effects(search, search_effects(search))
     choice = LawChoice()
-    if world(search, linear).has_force:
+    if model_evidence(search, linear).has_force:
         choice = choose_law(case, noise, candidate_set, search, linear, base)
     laws: dict[str, tuple[str, ...]] = {}
     if choice.law is not None:
@@ -79,7 +79,7 @@ def explanation_of(
     noise_floor = PoseError(
         float(np.hypot(assessment.floor[0], assessment.floor[1])),
         float(assessment.floor[2]),
-        "cameras and a random force" if assessment.world.has_force else "cameras",
+        "cameras and a random force" if assessment.evidence.has_force else "cameras",
     )
     share, explained_share = shares_of(steps)
     return Explanation(

@@ -78,7 +78,7 @@ def _ranking(search: WindowSearch, state: SearchState, misfit: float) -> tuple[C
     family = len(model.candidates)
     without = state.linear.subsets.with_effects(state.effects).chi2
     # With fewer recordings a larger value is needed for the same level.
-    reach = float(stats.t.isf(search.criteria.significance_level / 2, max(len(state.linear.gram) - 1, 1)))
+    reach = float(stats.t.isf(search.criteria.significance_level / 2, max(len(state.linear.recording_grams) - 1, 1)))
     for one in state.candidates:
         columns = model.candidates[one.effect]
         names = [model.names[k] for k in columns]
