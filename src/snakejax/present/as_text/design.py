@@ -82,7 +82,7 @@ def limits_line(tuned: TuningResult) -> str:
     return "largest of command and joint: " + ", ".join(parts)
 
 
-def separation_report(name: str, design: DiscriminationDesign, with_payload: str = "") -> Any:
+def discrimination_report(name: str, design: DiscriminationDesign, with_payload: str = "") -> Any:
     """The report of a run designed to distinguish two effects."""
     one, other = design.effects
     strong = ", ".join(f"{n.removeprefix('effects.')} = {v:.3g}" for n, v in design.strengths.items())
@@ -118,7 +118,7 @@ def separation_report(name: str, design: DiscriminationDesign, with_payload: str
     )
 
 
-def sharpening_report(name: str, design: PrecisionDesign, with_payload: str = "") -> Any:
+def precision_report(name: str, design: PrecisionDesign, with_payload: str = "") -> Any:
     """The report of a run designed to determine the tyre parameters."""
     table = plain_table("parameter", "+- before", "+- with the run", right=("+- before", "+- with the run"))
     for parameter, sd in design.before.items():
