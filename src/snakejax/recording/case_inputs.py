@@ -44,7 +44,7 @@ class Actuators(NamedTuple):
     """The gains of the controller of all inputs, and the actuator or gains of single ones by name."""
 
     gains: dict[str, float] | None
-    own: dict[str, Actuator | dict[str, float]]
+    by_input: dict[str, Actuator | dict[str, float]]
 
 
 def read_actuators(table: Table, vehicle: AbstractVehicle) -> Actuators:
@@ -57,11 +57,11 @@ def read_actuators(table: Table, vehicle: AbstractVehicle) -> Actuators:
     gains = None
     if any(key in actuator.values for key in GAINS) or not actuator.values:
         gains = {key: actuator.number(key, domain_of(Tracked, key)) for key in GAINS}
-    own = {}
+    by_input = {}
     for name in names:
         if name in actuator.values:
-            own[name] = _actuator(actuator.table(name, f"[actuator.{name}] with lag_s, or kp and kd"))
-    return Actuators(gains, own)
+            by_input[name] = _actuator(actuator.table(name, f"[actuator.{name}] with lag_s, or kp and kd"))
+    return Actuators(gains, by_input)
 
 
 def _actuator(table: Table) -> Actuator | dict[str, float]:
@@ -144,10 +144,10 @@ def built_inputs(raw: Sequence[RawInputs], actuators: Actuators, vehicle: Abstra
     def acted(name: str, signal: Signal, exact: bool) -> AbstractSignal:
         if isinstance(signal, Sines):
             signal = signal.padded(max(sines))
-        own = actuators.own.get(name, actuators.gains)
-        if exact or own is None:
+        actuator = actuators.by_input.get(name, actuators.gains)
+        if exact or actuator is None:
             return signal
-        return own.acted(signal) if isinstance(own, Actuator) else Tracked(signal, **own)
+        return actuator.acted(signal) if isinstance(actuator, Actuator) else Tracked(signal, **actuator)
 
     return [
         vehicle.inputs_of(OrderedDict((name, acted(name, s, r.exact)) for name, s in r.signals.items())) for r in raw
@@ -158,7 +158,7 @@ def require_trackable(raw: Sequence[RawInputs], rows: Sequence[Table], actuators
     """**Raises:** `InputError` where held commands shall be tracked by gains: their steps have no rate."""
     for signals, row in zip(raw, rows, strict=True):
         for name, signal in signals.signals.items():
-            tracked = isinstance(actuators.own.get(name, actuators.gains), dict)
+            tracked = isinstance(actuators.by_input.get(name, actuators.gains), dict)
             if isinstance(signal, Held) and tracked and not signals.exact:
                 what = f"holds {name} between samples, but kp and kd track commands without jumps"
                 raise row.error("joint_log", what, f"write [actuator.{name}] with lag_s in place of kp and kd")

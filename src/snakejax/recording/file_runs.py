@@ -45,6 +45,14 @@ class Recorded(NamedTuple):
     notes: tuple[str, ...]
 
 
+class PoseReading(NamedTuple):
+    """How the poses of a file are read: what points `up`, the user's `hints`, and which `object` is the vehicle."""
+
+    up: str | Sequence[float]
+    hints: FileAnnotations
+    object: str
+
+
 class Cut(NamedTuple):
     """A window of a recording, or the whole: `times` [s] (n,) from 0, `pose` (n, 3), and its inputs on that clock."""
 
@@ -88,13 +96,14 @@ def recordings_of(row: Table, folder: Path, vehicle: AbstractVehicle) -> list[Re
         body, up = body_of(capture, object, hints), up_by(capture, hints)
         if len(body.times) != len(next(iter(table.values()))):
             raise InputError("Poses and inputs have not the same rows", str(path), "write one row for each frame")
+        reading = PoseReading(up, hints, object)
         labels = table[each] if each else np.zeros(len(body.times))
         for label in dict.fromkeys(labels.tolist()):
             rows = np.flatnonzero(labels == label)
             name = f"{path.stem}[{label:g}]" if each else path.stem
             part = {key: values[rows] for key, values in table.items()}
             try:
-                recordings.append(_recorded(name, _rows(body, rows), part, columns, (up, hints, object), vehicle, kind))
+                recordings.append(_recorded(name, _rows(body, rows), part, columns, reading, vehicle, kind))
             except InputError:
                 raise
             except ValueError as error:
@@ -112,20 +121,19 @@ def _recorded(
     body: Body,
     table: Mapping[str, np.ndarray],
     columns: Mapping[str, str],
-    how: tuple[object, FileAnnotations, str],
+    reading: PoseReading,
     vehicle: AbstractVehicle,
     kind: str,
 ) -> Recorded:
     """One recording from rows of a table, its frames in order, without those in which the vehicle was carried."""
-    up, hints, object = how
     notes = []
     kept = np.concatenate([[True], np.diff(np.maximum.accumulate(body.times)) > 0])
     if not kept.all():
         notes.append(f"{int((~kept).sum())} frames came out of order and are left out")
     arrival = body.times[kept]
     messages = table_inputs({k: v[kept] for k, v in table.items()}, columns, arrival, vehicle.inputs)
-    track = planar(_rows(body, np.flatnonzero(kept)), up, None, object)  # type: ignore[arg-type]
-    pose = track.pose - np.array([0.0, 0.0, X_AXIS_DIRECTIONS[hints.x_axis]])
+    track = planar(_rows(body, np.flatnonzero(kept)), reading.up, None, reading.object)
+    pose = track.pose - np.array([0.0, 0.0, X_AXIS_DIRECTIONS[reading.hints.x_axis]])
     messages = messages._replace(times=messages.times - arrival[0])
     carried = _carried(track.times, pose, messages)
     if carried.any():

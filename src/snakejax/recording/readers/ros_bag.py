@@ -16,7 +16,7 @@ from snakejax.core.errors import InputError
 from .capture import Body, Capture, Source
 from .cells import shown
 from .rotations import require_unit
-from .subprocess_reader import read_apart
+from .subprocess_reader import read_in_subprocess
 
 MAGIC = {b"#ROSBAG V": ".bag", b"\x89MCAP0\r\n": ".mcap", b"SQLite format 3\0": ".db3"}
 POSES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/Odometry")
@@ -51,7 +51,7 @@ def _suffix(head: bytes) -> str | None:
 def read(source: Source) -> Capture:
     """All bodies. **Raises:** `InputError`."""
     where = str(source.path)
-    facts, arrays = read_apart("ros_bag", source.path, "rosbags")
+    facts, arrays = read_in_subprocess("ros_bag", source.path, "rosbags")
     bodies: dict[str, Body] = {}
     notes = []
     for i, name in enumerate(facts["names"]):
