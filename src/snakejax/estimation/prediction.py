@@ -17,7 +17,7 @@ from jaxtyping import Float
 from snakejax.core.errors import InputError
 from snakejax.dynamics.inputs import AbstractInputs
 from snakejax.dynamics.model import Model
-from snakejax.dynamics.sampled_signals import Held
+from snakejax.dynamics.sampled_signals import AHEAD, HISTORY, Held
 from snakejax.dynamics.signals import AbstractSignal
 from snakejax.recording.continuous import LEAST_MOTION, continuous_parts, mean_speed
 from snakejax.recording.run import Noise, Run
@@ -30,8 +30,6 @@ STRIDE = 0.5
 MOST_FRAMES = 40
 """Frames of a lead-in that are used, evenly spaced; the last one always is."""
 FEWEST_FRAMES = 5
-HISTORY, AHEAD = 3.0, 0.5
-"""Time [s] before a lead-in and after the last horizon for which held commands are kept."""
 STRENGTHS = (0.0, *np.logspace(0, 9, 28))
 """Model errors that are tried: by how much the variance of the oldest frame of a lead-in is larger than its noise."""
 LEAST_NOISE = 1e-6

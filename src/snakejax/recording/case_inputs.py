@@ -14,7 +14,7 @@ from jaxtyping import Float
 from snakejax.core.parameter import Domain
 from snakejax.core.toml_table import Table
 from snakejax.dynamics.inputs import FOLLOWS_OPPOSITE, AbstractInputs, Input
-from snakejax.dynamics.sampled_signals import Actuator, Held
+from snakejax.dynamics.sampled_signals import HISTORY, Actuator, Held, samples_between
 from snakejax.dynamics.signals import AbstractSignal, Logged, Sines, Tracked
 from snakejax.dynamics.vehicle import AbstractVehicle
 
@@ -27,8 +27,6 @@ GAINS = ("kp", "kd")
 LOG_KEYS = ("file", "kind", "offset_s", "drift", "hold")
 ESTIMATE = "estimate"
 LOG_EXAMPLE = 'joint_log = {file = "joints.csv", kind = "commanded"}'
-HISTORY = 3.0
-"""Time [s] of a held log that is kept before the first sample used: lags forget within it."""
 
 Signal = Sines | Logged | Held
 
@@ -109,8 +107,7 @@ def _kept(row: Table, times: Float[np.ndarray, " n"]) -> slice:
     start, last = row.vector("window_s", 2, "window_s = [first second, last second]")
     # A run from rest is simulated from time 0, wherever its window begins.
     begins = start if row.values.get("start") == "moving" else min(start, 0.0)
-    first = max(int(np.searchsorted(times, begins - HISTORY)) - 1, 0)
-    return slice(first, max(int(np.searchsorted(times, last)) + 1, first + 1))
+    return samples_between(times, begins - HISTORY, last)
 
 
 def input_keys(vehicle: AbstractVehicle) -> tuple[str, ...]:

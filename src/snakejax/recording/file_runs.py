@@ -11,12 +11,12 @@ import numpy as np
 from snakejax.core.errors import InputError
 from snakejax.core.parameter import Domain
 from snakejax.core.toml_table import Table
-from snakejax.dynamics.sampled_signals import Held
+from snakejax.dynamics.sampled_signals import AHEAD, HISTORY, Held, samples_between
 from snakejax.dynamics.signals import Logged
 from snakejax.dynamics.vehicle import AbstractVehicle
 
 from .annotations import annotations_of
-from .case_inputs import HISTORY, KINDS, RawInputs, Signal
+from .case_inputs import KINDS, RawInputs, Signal
 from .continuous import LEAST_MOTION, chosen_windows, jumps, mean_speed
 from .quality import smoothed
 from .readers import FEWEST_SAMPLES, FileAnnotations, PoseTrack, read_capture
@@ -29,8 +29,6 @@ WINDOW_KEYS = ("length_s", "most", "rate_hz")
 FILES_EXAMPLE = 'files = "0909_*.csv"'
 WINDOWS_EXAMPLE = "windows = {length_s = 1.5, most = 20}"
 USUAL_LENGTH, USUAL_MOST = 1.5, 20
-AHEAD = 0.5
-"""Time [s] of a held log after a window that is kept: the clock of the inputs may be that late."""
 COASTING = 1.0
 """A vehicle that moves longer than this [s] after its safety went off is carried, or creeps."""
 
@@ -205,12 +203,10 @@ def _cut(recorded: Recorded, frames: np.ndarray) -> Cut:
 def _signals(recorded: Recorded, zero: float, first: float, last: float) -> RawInputs:
     """The inputs from `first` to `last` [s], on a clock that starts at `zero`."""
     times = recorded.inputs.times
-    a = max(int(np.searchsorted(times, first)) - 1, 0)
-    b = max(int(np.searchsorted(times, last)) + 1, a + 4)
-    a = max(min(a, len(times) - 4), 0)
+    kept = samples_between(times, first, last, fewest=4)
     signals: dict[str, Signal] = {}
     for name, values in recorded.inputs.values.items():
-        at, value = times[a:b] - zero, values[a:b]
+        at, value = times[kept] - zero, values[kept]
         if recorded.measured:
             signals[name] = Logged.of(at, *smoothed(at, value))
         else:
