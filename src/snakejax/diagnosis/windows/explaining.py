@@ -18,7 +18,7 @@ from snakejax.estimation.window_fit import WindowPoint, scale_of
 from snakejax.recording.run import Case, Noise
 
 from ..diagnosing import Diagnosis, DiagnosisOptions, start_of
-from ..explanation import Explanation, PoseError, Remainder, TriedCandidate
+from ..explanation import Explanation, PoseError, Remainder, TriedCandidate, vehicle_constants
 from ..inexact.candidate_model import candidate_model, movable_parameters
 from ..inexact.confidence import AMBIGUOUS, LIKELY, SURE
 from ..inexact.explaining import shares_of_errors
@@ -202,7 +202,6 @@ def _explanation(
     }
     if LATERAL_SLIP_SWITCH in effects:
         confidence[LATERAL_SLIP_SWITCH] = SURE
-    known = {name.removeprefix("board."): e for name, e in final.estimates.items() if name.startswith("board.")}
     return Explanation(
         case,
         noise,
@@ -218,7 +217,7 @@ def _explanation(
         floor=floor,
         remainder=remainder,
         candidates=tuple(row for k in range(len(path)) for row in _tried(path, k, others)),
-        constants=known,
+        constants=vehicle_constants(final),
         of_windows=True,
     )
 

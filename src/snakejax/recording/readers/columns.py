@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from snakejax.core.errors import InputError, instead_of
+from snakejax.core.tabular import first_few
 
 from .assumed import SI, unit_of_angle, unit_of_length, unit_of_time
 from .capture import ANGLE, LENGTH, TIME, Body, Capture, FileAnnotations, Source, lost_together
@@ -288,8 +289,7 @@ def _with_units(
 def _unused(names: Sequence[str], columns: Sequence[Column]) -> list[str]:
     used = {c.column_index for c in columns}
     left = [shown(name or str(i + 1), 30) for i, name in enumerate(names) if i not in used]
-    more = f" and {len(left) - MOST_LISTED} more" if len(left) > MOST_LISTED else ""
-    return [f"columns that are not used: {', '.join(left[:MOST_LISTED])}{more}"] if left else []
+    return [f"columns that are not used: {first_few(left, MOST_LISTED)}"] if left else []
 
 
 def _stacked(parts: Mapping[str, Float[np.ndarray, " n"]], roles: Sequence[str], n: int) -> Float[np.ndarray, "n k"]:

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from snakejax.core.errors import InputError
+from snakejax.core.tabular import first_few
 
 from .capture import Body, Capture, Source
 from .cells import shown
@@ -65,11 +66,9 @@ def read(source: Source) -> Capture:
             notes.append(f"{shown(name)} has no stamps of its own: its times are those of the bag, which jitter")
     for frame in dict.fromkeys(filter(None, facts["parents"].values())):
         inside = [shown(name) for name, parent in facts["parents"].items() if parent == frame]
-        more = f" and {len(inside) - MOST_LISTED} more" if len(inside) > MOST_LISTED else ""
-        notes.append(f"in the frame {shown(frame)} are the poses of {', '.join(inside[:MOST_LISTED])}{more}")
+        notes.append(f"in the frame {shown(frame)} are the poses of {first_few(inside, MOST_LISTED)}")
     if others := facts["others"]:
-        more = f", and {len(others) - MOST_LISTED} more" if len(others) > MOST_LISTED else ""
-        notes.append(f"topics that hold no pose and are not read: {', '.join(others[:MOST_LISTED])}{more}")
+        notes.append(f"topics that hold no pose and are not read: {first_few(others, MOST_LISTED, comma=True)}")
     return Capture("ROS bag", source.path, where, None, "m", bodies, {}, np.zeros(0), notes=notes)
 
 
