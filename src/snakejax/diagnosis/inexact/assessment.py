@@ -9,7 +9,7 @@ from snakejax.core.progress import Phase, ProgressEvent
 from snakejax.estimation.discrepancy.kalman import gram_matrices
 from snakejax.estimation.discrepancy.least_squares import Optimum
 from snakejax.estimation.discrepancy.open_loop import open_loop
-from snakejax.estimation.uncertainty import UNDETERMINED_SD, Estimate
+from snakejax.estimation.uncertainty import Estimate, estimate_of
 from snakejax.recording.run import Run
 
 from ..explanation import RunBand
@@ -78,12 +78,8 @@ def estimates_at(search: Search, best: Optimum, values: np.ndarray, columns: Ite
     """The `values` of the parameters numbered `columns`, by name, with the errors of the optimum `best`."""
     estimates = {}
     for k in columns:
-        domain, step = search.segments.domains[k], float(best.sd[k])
-        shaped = domain.multiplicative or domain.typical is not None
-        held = k not in best.free
-        sd = None if held else step * (abs(float(values[k])) if domain.multiplicative else 1.0)
-        determined = not held and not (shaped and step > UNDETERMINED_SD)
-        estimates[search.model.names[k]] = Estimate(float(values[k]), sd, domain.unit, determined, held)
+        domain, held = search.segments.domains[k], k not in best.free
+        estimates[search.model.names[k]] = estimate_of(float(values[k]), float(best.sd[k]), domain, held)
     return estimates
 
 
