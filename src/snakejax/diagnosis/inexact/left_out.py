@@ -85,10 +85,6 @@ class LeftOut(NamedTuple):
             return np.array([quadratic(gram, step) for gram in self.blocks[self.present]]) + self.logs[self.present]
         return left_out_deviances(self.linear.subsets, self.blocks, self.logs, effects)[self.present]
 
-    def explained_share(self, effects: Iterable[str]) -> float:
-        """The share of the squared error that all `effects` take away."""
-        return float(1.0 - self.error(effects).sum() / self.error([]).sum())
-
     def predicting(self, effects: Iterable[str]) -> list[str]:
         """Those of `effects` with which runs left out are predicted better, each beside the others that stay.
 
