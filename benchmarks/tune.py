@@ -38,16 +38,16 @@ POPULATION = 32
 class Counted:
     """The distance of many gaits at once, made feasible; counts simulations and keeps the best so far."""
 
-    def __init__(self, model: sj.Model, ask: RolloutSpec) -> None:
-        self.model, self.ask, self.count, self.best, self.history = model, ask, 0, 0.0, []
-        self.low, self.high = ask.shape.bounds()
+    def __init__(self, model: sj.Model, spec: RolloutSpec) -> None:
+        self.model, self.spec, self.count, self.best, self.history = model, spec, 0, 0.0, []
+        self.low, self.high = spec.shape.bounds()
 
     def __call__(self, unknowns: np.ndarray) -> np.ndarray:
         rows = np.clip(unknowns, self.low, self.high)
         filled = np.concatenate([rows, np.repeat(rows[-1:], -len(rows) % POPULATION, axis=0)])
         found = np.concatenate(
             [
-                _far(self.model, self.ask, jnp.asarray(filled[k : k + POPULATION]))
+                _far(self.model, self.spec, jnp.asarray(filled[k : k + POPULATION]))
                 for k in range(0, len(filled), POPULATION)
             ]
         )[: len(rows)]
@@ -67,18 +67,18 @@ class Counted:
 
 
 @eqx.filter_jit
-def _far(model: sj.Model, ask: RolloutSpec, unknowns):
+def _far(model: sj.Model, spec: RolloutSpec, unknowns):
     def one(z):
-        command = ask.shape.gait(z)
+        command = spec.shape.gait(z)
         most = {name: [] for name in Limits._fields}
-        for name, signal in clipped(model, ask.driver.driven(command)):
+        for name, signal in clipped(model, spec.driver.driven(command)):
             values = reached(signal, SECONDS, COARSE)
             for q, part in zip(QUANTITIES, values, strict=True):
                 most[name].append(jnp.max(part) / LIMITS.named()[name + q])
         factors = {name: 1 / jnp.maximum(1.0, jnp.max(jnp.stack(parts))) for name, parts in most.items()}
         gait = sj.Gait(scaled(command.phi, factors["phi"]), scaled(command.psi, factors["psi"]))
         pose = sj.simulate(
-            model, ask.driver.driven(gait), ask.times, ask.start,
+            model, spec.driver.driven(gait), spec.times, spec.start,
             accuracy=sj.Accuracy(rtol=1e-6, atol=1e-8, derivative="forward"), throw=False,
         ).pose  # fmt: skip
         return jnp.hypot(*(pose[-1, :2] - pose[0, :2]))
@@ -92,7 +92,7 @@ def main(times: float) -> None:
     model = sj.Model(case.board, sj.Pacejka(**TYRE), "free")
     driver = sj.Controller.of(case.runs[0].gait)
     shape = sj.SumsOfSines((LIMITS.phi.angle, LIMITS.psi.angle), band(LIMITS, SECONDS), TERMS)
-    ask = RolloutSpec(shape, driver, jnp.array([0.0, SECONDS]), jnp.zeros(3), False)
+    spec = RolloutSpec(shape, driver, jnp.array([0.0, SECONDS]), jnp.zeros(3), False)
 
     sj.design.tune(model, sj.Distance(), LIMITS, SECONDS, driver=driver, starts=1, most=1)  # compiled
     began = time.perf_counter()
@@ -100,9 +100,9 @@ def main(times: float) -> None:
     seconds = {"tune": time.perf_counter() - began}
     budget = int(times * ours.simulations)
 
-    far = Counted(model, ask)
+    far = Counted(model, spec)
     far(np.array([shape.guess(np.random.default_rng(0))]))
-    evolving, differing = Counted(model, ask), Counted(model, ask)
+    evolving, differing = Counted(model, spec), Counted(model, spec)
     began = time.perf_counter()
     rng, round_ = np.random.default_rng(0), 0
     while evolving.count < budget:
@@ -125,7 +125,7 @@ def main(times: float) -> None:
     seconds["differential evolution"] = time.perf_counter() - began
 
     z = jnp.asarray(guesses[0])
-    slow, quick = (_each(f) for f in (lambda: rollout_jacobian(model, ask, z), lambda: rollouts(model, ask, z[None])))
+    slow, quick = (_each(f) for f in (lambda: rollout_jacobian(model, spec, z), lambda: rollouts(model, spec, z[None])))
     reached_ = ours.after.result
     print(
         f"distance in {SECONDS:g} s; a simulation with its {shape.size} derivatives takes {slow / quick:.1f} plain ones"

@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ElementTree
 import pytest
 
 from snakejax import InputError
-from snakejax.core.tabular import MOST_ROWS, Tabular, cell_text
+from snakejax.core.tabular import MOST_ROWS, Tabular, cell_text, first_few
 
 
 class Counted(Tabular):
@@ -63,3 +63,11 @@ def test_without_pandas_one_line_says_what_to_install(monkeypatch) -> None:
 )
 def test_a_cell_has_four_digits(value, text) -> None:
     assert cell_text(value) == text
+
+
+@pytest.mark.parametrize(
+    ("names", "comma", "text"),
+    [("", False, ""), ("ab", False, "a, b"), ("abcde", False, "a, b and 3 more"), ("abcde", True, "a, b, and 3 more")],
+)
+def test_a_long_list_shows_its_first_few(names: str, comma: bool, text: str) -> None:
+    assert first_few(tuple(names), 2, comma) == text

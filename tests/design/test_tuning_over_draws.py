@@ -34,9 +34,9 @@ def test_the_worst_is_the_worst_of_the_draws_simulated_one_by_one(monkeypatch) -
     assert np.ptp(there) > 0.01 * there.min() and there.min() >= each(first).min() - 1e-9
 
     shape = SumsOfSines((0.9, 1.6), band(LIMITS, 1.0), TERMS)
-    ask = RolloutSpec(shape, Controller(**GAINS), jnp.asarray(Distance().times(1.0)), jnp.zeros(3), False)
-    whole = task.GaitProblem(models[0], tuple(models[1:]), ask, Distance(), LIMITS, 1.0, "worst")
+    spec = RolloutSpec(shape, Controller(**GAINS), jnp.asarray(Distance().times(1.0)), jnp.zeros(3), False)
+    whole = task.GaitProblem(models[0], tuple(models[1:]), spec, Distance(), LIMITS, 1.0, "worst")
     z = shape.like(Gait(worst.after.gait.phi.command, worst.after.gait.psi.command))
     assert whole.worst(z) == pytest.approx(-there.min(), abs=1e-6)
     point = whole.worst_point(np.append(z, 0.5))
-    np.testing.assert_allclose(point.room[-len(there) :], 0.5 + there, atol=1e-6)
+    np.testing.assert_allclose(point.slack[-len(there) :], 0.5 + there, atol=1e-6)

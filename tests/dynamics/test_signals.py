@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from snakejax.dynamics.inputs import on_clock
+from snakejax.dynamics.sampled_signals import samples_between
 from snakejax.dynamics.signals import Logged
 
 
@@ -26,3 +27,18 @@ def test_an_onset_outside_the_log_is_refused(onset):
     t = np.linspace(0, 3, 40)
     with pytest.raises(ValueError, match=r"begins at .* s, outside its log from 0 to 3 s"):
         Logged.of(t, np.sin(t), onset=onset)
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "fewest", "kept"),
+    [
+        (2.5, 4.5, 1, [2, 3, 4, 5]),
+        (-9.0, 99.0, 1, [*range(10)]),
+        (20.0, 30.0, 1, [9]),
+        (20.0, 30.0, 4, [6, 7, 8, 9]),
+    ],
+)
+def test_the_samples_of_a_held_log_that_matter(first: float, last: float, fewest: int, kept: list[int]) -> None:
+    """Those inside and one on each side, and no fewer than `fewest`."""
+    times = np.arange(10.0)
+    assert times[samples_between(times, first, last, fewest)].tolist() == kept

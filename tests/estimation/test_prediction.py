@@ -129,5 +129,5 @@ def test_no_window_spans_a_gap() -> None:
     pose = circle(times, 1.2, 0.8)
     pose[195:215] = np.nan
     windows = prediction_windows([recording(times, pose, gait)], 0.5, HORIZONS)
-    spans = [(float(w.run.times[0]), float(w.run.times[w.led - 1]) + HORIZONS[w.known[-1]]) for w in windows]
+    spans = [(float(w.run.times[0]), float(w.run.times[w.lead_frames - 1]) + HORIZONS[w.known[-1]]) for w in windows]
     assert spans and all(end <= 3.9 or begin >= 4.3 - 1e-9 for begin, end in spans)

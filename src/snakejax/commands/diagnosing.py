@@ -26,7 +26,7 @@ from snakejax.recording.run import Case, Noise
 from .case_argument import sound_case, takes
 from .conditions import BY, changes
 from .fitting import FitOptions
-from .named_effects import EffectArguments, candidate_library
+from .named_effects import EffectArguments, barred_names, candidate_library
 from .option_texts import names, threshold
 from .requested_model import requested_model
 
@@ -126,12 +126,8 @@ def question_of(case: Case, options: ExplainOptions) -> Question:
         start=base.model,
         held=frozenset(usual) - frozenset(freed),
         with_=tuple(effects),
-        switch=LATERAL_SLIP_SWITCH not in _listed(options.get("without")) and not key,
+        switch=LATERAL_SLIP_SWITCH not in barred_names(options.get("without")) and not key,
         threshold=threshold(options.get("robust")),
         progress=options.get("progress", no_progress),
     )
     return Question(base.model, noise_of(case), {**library, **effects}, diagnosis_options)
-
-
-def _listed(without: str | Iterable[str] | None) -> list[str]:
-    return [without] if isinstance(without, str) else [*(without or ())]

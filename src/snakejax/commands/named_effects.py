@@ -104,6 +104,11 @@ def built(name: str, kind: type[Effect], values: Mapping[str, float], option: st
         raise InputError(str(error).rstrip("."), option, "give a value inside its domain") from None
 
 
+def barred_names(without: str | Iterable[str] | None) -> list[str]:
+    """The names of `--without`."""
+    return [without] if isinstance(without, str) else [*(without or ())]
+
+
 def candidate_library(
     effect: EffectArguments | None, without: str | Iterable[str] | None, vehicle: AbstractVehicle
 ) -> dict[str, Effect]:
@@ -119,7 +124,7 @@ def candidate_library(
             remedy = f"leave the values out, or put it into the model with --with {one.name}"
             raise InputError(f"The candidate `{one.name}` is estimated", "option --effect", remedy)
         candidates[one.name] = built(one.name, one.kind, one.start)
-    barred = [without] if isinstance(without, str) else [*(without or ())]
+    barred = barred_names(without)
     known = [*candidates, LATERAL_SLIP_SWITCH]
     for name in barred:
         if name not in known:

@@ -85,6 +85,12 @@ def listed(names: Sequence[str], word: str = "and") -> str:
     return f"{', '.join(others)} {word} {last}" if others else last
 
 
+def first_few(names: Sequence[str], most: int, comma: bool = False) -> str:
+    """`a, b and 3 more` of at most `most` names; with `comma`, `a, b, and 3 more`."""
+    more = f"{',' if comma else ''} and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
+
+
 def counted(number: int, what: str) -> str:
     """`1 run`, `2 runs`."""
     return f"{number} {what}" if number == 1 else f"{number} {what}s"

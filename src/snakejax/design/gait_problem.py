@@ -33,13 +33,13 @@ Robustness = Literal["mean", "worst"]
 class GaitProblem(eqx.Module):
     """One gait optimisation.
 
-    `nominal`: model for the limits; `boards`: models over which the objective is taken; `ask`: rollout specification;
+    `nominal`: model for the limits; `boards`: models over which the objective is taken; `spec`: rollout specification;
     `over`: mean or worst cost over the boards.
     """
 
     nominal: Model
     boards: tuple[Model, ...]
-    ask: RolloutSpec
+    spec: RolloutSpec
     objective: Objective
     limits: Limits = eqx.field(static=True)
     seconds: float = eqx.field(static=True)
@@ -48,18 +48,18 @@ class GaitProblem(eqx.Module):
     def merits(self, runs: Sequence[Rollouts]) -> Float[np.ndarray, " S"]:
         """Merit (S,) of S gaits from their runs (S, ...) on each board: cost plus squared residuals."""
         stack = jax.tree.map(lambda *parts: jnp.stack(parts, axis=1), *runs)
-        return np.asarray(merits(self.objective, self.ask.times, stack, self.over))
+        return np.asarray(merits(self.objective, self.spec.times, stack, self.over))
 
     def starts(self, known: Sequence[Gait], count: int, rng) -> tuple[list[np.ndarray], int]:
         """Unknowns of `count` starts, from known gaits and the best random ones, and the number of simulated runs.
 
         **Raises:** `RuntimeError` if no gait can be simulated.
         """
-        shape = self.ask.shape
+        shape = self.spec.shape
         guesses = [np.clip(shape.guess(rng), *shape.bounds()) for _ in range(GUESSES)]
         known_unknowns = [z for z in (shape.like(command(g)) for g in known) if z is not None]
         candidates = np.array([*known_unknowns, *guesses])[:GUESSES]
-        merit = self.merits([rollouts(board, self.ask, jnp.asarray(candidates)) for board in self.boards])
+        merit = self.merits([rollouts(board, self.spec, jnp.asarray(candidates)) for board in self.boards])
         if not np.isfinite(merit).any():
             raise RuntimeError(
                 "None of the gaits tried can be simulated: the tyre is too stiff, or the limits too wide"
@@ -76,7 +76,7 @@ class GaitProblem(eqx.Module):
         """
         costs = []
         for gait in gaits:
-            runs = [rollout_of(accurate(b, gait, self.seconds, self.ask.start), self.ask.times) for b in self.boards]
+            runs = [rollout_of(accurate(b, gait, self.seconds, self.spec.start), self.spec.times) for b in self.boards]
             rollouts_on_boards = [Rollouts(run.pose[None], run.effort[None]) for run in runs]
             costs.append(float(self.merits(rollouts_on_boards)[0]))
         if not np.isfinite(costs).any():
@@ -87,14 +87,14 @@ class GaitProblem(eqx.Module):
 
     def runs(self, unknowns: Float[Array, " P"]) -> tuple[Rollouts, Rollouts]:
         """The runs on all M boards, arrays (M, ...), and their derivatives by the unknowns, (M, ..., P)."""
-        each = [rollout_jacobian(board, self.ask, unknowns) for board in self.boards]
+        each = [rollout_jacobian(board, self.spec, unknowns) for board in self.boards]
         return jax.tree.map(lambda *parts: jnp.stack(parts), *each)
 
     def point(self, unknowns: np.ndarray) -> ProblemValue:
         """Values and derivatives of the problem at `unknowns` (P,)."""
         z = jnp.asarray(unknowns)
-        cost, residual, cost_slope, residual_slope = _together(self.objective, self.ask.times, *self.runs(z))
-        slacks = _room(self.nominal, self.ask, self.limits, self.seconds, z)
+        cost, residual, cost_slope, residual_slope = _together(self.objective, self.spec.times, *self.runs(z))
+        slacks = _slack(self.nominal, self.spec, self.limits, self.seconds, z)
         return ProblemValue(
             float(cost), *(np.asarray(part) for part in (cost_slope, residual, residual_slope, *slacks))
         )
@@ -102,18 +102,18 @@ class GaitProblem(eqx.Module):
     def enough(self, unknowns: np.ndarray) -> bool:
         """Whether `unknowns` satisfy residual, cost and limits."""
         value = self.point(unknowns)
-        return bool((np.abs(value.equal) < MET).all() and value.cost < MET and (value.room > -_TOLERANCE).all())
+        return bool((np.abs(value.equal) < MET).all() and value.cost < MET and (value.slack > -_TOLERANCE).all())
 
     def worst(self, unknowns: np.ndarray) -> float:
         """The largest cost over the boards."""
-        return float(_apart(self.objective, self.ask.times, *self.runs(jnp.asarray(unknowns)))[0].max())
+        return float(_apart(self.objective, self.spec.times, *self.runs(jnp.asarray(unknowns)))[0].max())
 
     def worst_point(self, unknowns: np.ndarray) -> ProblemValue:
         """The min-max problem: a last unknown bounds the cost of every board and is minimised (epigraph form)."""
         z, bound = jnp.asarray(unknowns[:-1]), float(unknowns[-1])
-        parts = _apart(self.objective, self.ask.times, *self.runs(z))
+        parts = _apart(self.objective, self.spec.times, *self.runs(z))
         cost, residual, cost_slope, residual_slope = (np.asarray(part) for part in parts)
-        slacks, slacks_slope = (np.asarray(p) for p in _room(self.nominal, self.ask, self.limits, self.seconds, z))
+        slacks, slacks_slope = (np.asarray(p) for p in _slack(self.nominal, self.spec, self.limits, self.seconds, z))
 
         def with_last_column(slope: np.ndarray, last: float) -> np.ndarray:
             return np.append(slope, np.full((slope.shape[0], 1), last), axis=1)
@@ -169,9 +169,9 @@ def _sloped(of: Callable[[Rollouts], tuple[Array, Array]], run: Rollouts, slope:
 
 
 @eqx.filter_jit
-def _room(model: Model, ask: RolloutSpec, limits: Limits, seconds: float, unknowns):
+def _slack(model: Model, spec: RolloutSpec, limits: Limits, seconds: float, unknowns):
     def of(z):
-        return slack(model, ask.gait(z), limits, seconds)
+        return slack(model, spec.gait(z), limits, seconds)
 
     def along(direction):
         return jax.jvp(of, (unknowns,), (direction,))

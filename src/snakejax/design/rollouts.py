@@ -80,17 +80,19 @@ def rollout(model: Model, gait: Gait, times, start, counts_effort: bool, accurac
 
 
 @eqx.filter_jit
-def rollouts(model: Model, ask: RolloutSpec, unknowns: Float[Array, "S P"]) -> Rollouts:
+def rollouts(model: Model, spec: RolloutSpec, unknowns: Float[Array, "S P"]) -> Rollouts:
     """Simulate the gaits of S rows of unknowns in one batch: poses (S, n, 3)."""
-    return jax.vmap(lambda z: rollout(model, ask.gait(z), ask.times, ask.start, ask.counts_effort, ACCURACY))(unknowns)
+    return jax.vmap(lambda z: rollout(model, spec.gait(z), spec.times, spec.start, spec.counts_effort, ACCURACY))(
+        unknowns
+    )
 
 
 @eqx.filter_jit
-def rollout_jacobian(model: Model, ask: RolloutSpec, unknowns: Float[Array, " P"]) -> tuple[Rollouts, Rollouts]:
+def rollout_jacobian(model: Model, spec: RolloutSpec, unknowns: Float[Array, " P"]) -> tuple[Rollouts, Rollouts]:
     """Simulate one gait: poses (n, 3), and their derivative by the unknowns (n, 3, P)."""
 
     def run(z):
-        return rollout(model, ask.gait(z), ask.times, ask.start, ask.counts_effort, ACCURACY)
+        return rollout(model, spec.gait(z), spec.times, spec.start, spec.counts_effort, ACCURACY)
 
     def along(direction):
         return jax.jvp(run, (unknowns,), (direction,))

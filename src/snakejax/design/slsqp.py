@@ -20,25 +20,25 @@ class ProblemValue(NamedTuple):
     """Values of an optimisation problem at one point, with derivatives by the N unknowns.
 
     `cost` is minimised, with `cost_slope` (N,); equality constraints `equal` (k,) = 0, with `equal_slope` (k, N);
-    inequality constraints (slacks) `room` (m,) >= 0, with `room_slope` (m, N).
+    inequality constraints (slacks) `slack` (m,) >= 0, with `slack_slope` (m, N).
     """
 
     cost: float
     cost_slope: np.ndarray
     equal: np.ndarray
     equal_slope: np.ndarray
-    room: np.ndarray
-    room_slope: np.ndarray
+    slack: np.ndarray
+    slack_slope: np.ndarray
 
 
 ConstrainedProblem = Callable[[np.ndarray], ProblemValue]
 
 
 class Minimum(NamedTuple):
-    """Result of a minimisation: the `unknowns` (N,), and `looks`, the number of evaluations of the problem."""
+    """Result of a minimisation: the `unknowns` (N,), and `evaluations`, the number of evaluations of the problem."""
 
     unknowns: np.ndarray
-    looks: int
+    evaluations: int
 
 
 def minimise_slsqp(
@@ -67,7 +67,7 @@ def minimise_slsqp(
         return known[key]
 
     first = evaluate(np.asarray(start, float))
-    constraints = [{"type": "ineq", "fun": lambda x: evaluate(x).room, "jac": lambda x: evaluate(x).room_slope}]
+    constraints = [{"type": "ineq", "fun": lambda x: evaluate(x).slack, "jac": lambda x: evaluate(x).slack_slope}]
     if first.equal.size:
         constraints.append({"type": "eq", "fun": lambda x: evaluate(x).equal, "jac": lambda x: evaluate(x).equal_slope})
     with warnings.catch_warnings():

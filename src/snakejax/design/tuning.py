@@ -165,18 +165,18 @@ def tune(
     boards = [model] if isinstance(model, Model) else list(model)
     _require_possible(boards[0], limits, seconds)
     task = _problem(boards, objective, limits, seconds, options)
-    driver, start = task.ask.driver, options.get("start", ORIGIN)
+    driver, start = task.spec.driver, options.get("start", ORIGIN)
     known = [within(boards[0], driver.driven(command(g)), limits, seconds) for g in options.get("given", ())]
     minima, screened = _minima(task, known, options)
 
     def gait_result(board: Model, gait: Gait) -> GaitResult:
         run = accurate(board, gait, seconds, start)
-        return GaitResult(gait, objective.result(rollout_of(run, task.ask.times)), run)
+        return GaitResult(gait, objective.result(rollout_of(run, task.spec.times)), run)
 
-    optimised = [within(boards[0], task.ask.gait(jnp.asarray(m.unknowns)), limits, seconds) for m in minima]
+    optimised = [within(boards[0], task.spec.gait(jnp.asarray(m.unknowns)), limits, seconds) for m in minima]
     best = task.best(optimised + known)
     after = gait_result(boards[0], best)
-    slopes = len(task.boards) * sum(m.looks for m in minima)
+    slopes = len(task.boards) * sum(m.evaluations for m in minima)
     return TuningResult(
         before=gait_result(boards[0], task.best(known)) if known else None,
         after=after,
@@ -185,7 +185,7 @@ def tune(
         reached=peaks(boards[0], best, seconds),
         seconds=seconds,
         start=(float(start[0]), float(start[1]), float(start[2])),
-        met=bool(np.all(np.abs(objective.residual(rollout_of(after.run, task.ask.times))) < MET)),
+        met=bool(np.all(np.abs(objective.residual(rollout_of(after.run, task.spec.times))) < MET)),
         simulations=screened + slopes,
         slopes=slopes,
     )
@@ -198,7 +198,7 @@ def _problem(
     driver, shape = options.get("driver"), options.get("shape")
     if shape is None:
         shape = SumsOfSines((limits.phi.angle, limits.psi.angle), band(limits, seconds), TERMS)
-    ask = RolloutSpec(
+    spec = RolloutSpec(
         shape,
         Controller() if driver is None else driver,
         jnp.asarray(objective.times(seconds)),
@@ -206,7 +206,7 @@ def _problem(
         objective.counts_effort,
     )
     over = options.get("over", "mean")
-    return GaitProblem(boards[0], tuple(boards[1:] or boards), ask, objective, limits, seconds, over)
+    return GaitProblem(boards[0], tuple(boards[1:] or boards), spec, objective, limits, seconds, over)
 
 
 def _minima(task: GaitProblem, known: Sequence[Gait], options: TuningOptions) -> tuple[list[Minimum], int]:
@@ -217,7 +217,7 @@ def _minima(task: GaitProblem, known: Sequence[Gait], options: TuningOptions) ->
     most, progress = options.get("most", MOST), options.get("progress", no_progress)
     rng = np.random.default_rng(options.get("seed", 0))
     starts, screened = task.starts(known, options.get("starts", STARTS), rng)
-    bounds = task.ask.shape.bounds()
+    bounds = task.spec.shape.bounds()
     if task.over == "worst" and len(task.boards) > 1:
         bounds = tuple(np.append(end, inf) for end, inf in zip(bounds, (-np.inf, np.inf), strict=True))
         starts = [np.append(z, task.worst(z)) for z in starts]

@@ -39,7 +39,7 @@ def with_all_effects_at_once(
         assessment = assess_effects(case, noise, candidate_set, diagnosis.base.step.effects, progress)
     except FitError:
         return None
-    criteria, exact = candidate_set.criteria, assessment.world.exact
+    criteria, exact = candidate_set.criteria, assessment.evidence.exact
     if exact and len(assessment.effects) <= criteria.most_effects_at_once:
         return None
     if assessment.random_force_share > criteria.largest_random_force:

@@ -72,6 +72,13 @@ def run_bands(runs: Sequence[Run], residuals: Sequence[np.ndarray], sds: Sequenc
     return tuple(bands)
 
 
+def vehicle_constants(final: SelectionStep) -> dict[str, Estimate]:
+    """The constants of the vehicle among the estimates of a step, by their name in its table of `case.toml`."""
+    return {
+        name.removeprefix("board."): estimate for name, estimate in final.estimates.items() if name.startswith("board.")
+    }
+
+
 class Remainder(NamedTuple):
     """The root mean square error above the floor that the final model leaves, and the shares of variables in it.
 

@@ -14,6 +14,10 @@ from .signals import AbstractSignal, Joint, Logged, Sines
 
 SHORTEST_LAG = 1e-3
 """Time constant [s] up to which a lag acts as none: recordings do not tell one so short from zero."""
+HISTORY = 3.0
+"""Time [s] of a held log that is kept before the first sample used: lags forget within it."""
+AHEAD = 0.5
+"""Time [s] of a held log that is kept after the last sample used: the clock of the inputs may be that late."""
 
 
 class Held(AbstractSignal):
@@ -50,6 +54,14 @@ class Held(AbstractSignal):
     def at(self, t: Scalar) -> Joint:
         value = self.values[self.index(t)]
         return Joint(value, jnp.zeros_like(value), jnp.zeros_like(value))
+
+
+def samples_between(times: Float[np.ndarray, " n"], first: float, last: float, fewest: int = 1) -> slice:
+    """The samples at `times` [s] that matter from `first` to `last` [s]: those inside and one on each side, and at
+    least `fewest` where there are so many."""
+    start = max(int(np.searchsorted(times, first)) - 1, 0)
+    stop = max(int(np.searchsorted(times, last)) + 1, start + fewest)
+    return slice(max(min(start, len(times) - fewest), 0), stop)
 
 
 def held_signals(inputs: Any) -> list[Held]:

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from snakejax.core.errors import InputError
 from snakejax.dynamics.inputs import AbstractInputs
 from snakejax.dynamics.model import Model
-from snakejax.dynamics.sampled_signals import Held
+from snakejax.dynamics.sampled_signals import AHEAD, HISTORY, Held
 from snakejax.dynamics.signals import AbstractSignal
 from snakejax.recording.continuous import LEAST_MOTION, continuous_parts, mean_speed
 from snakejax.recording.run import Noise, Run
@@ -30,8 +30,6 @@ STRIDE = 0.5
 MOST_FRAMES = 40
 """Frames of a lead-in that are used, evenly spaced; the last one always is."""
 FEWEST_FRAMES = 5
-HISTORY, AHEAD = 3.0, 0.5
-"""Time [s] before a lead-in and after the last horizon for which held commands are kept."""
 STRENGTHS = (0.0, *np.logspace(0, 9, 28))
 """Model errors that are tried: by how much the variance of the oldest frame of a lead-in is larger than its noise."""
 LEAST_NOISE = 1e-6
@@ -49,12 +47,12 @@ class PredictionError(NamedTuple):
 
 
 class PredictionWindow(NamedTuple):
-    """A lead-in and what was measured after it: `run` holds the `led` frames of the lead-in, then NaN at the horizons;
+    """A lead-in and what was measured after it: `run` holds the `lead_frames` of the lead-in, then NaN at the horizons;
     `known` are the numbers of those that were measured, `measured` (h, 3) the poses there; `noise` (3,) of a frame."""
 
     group: str
     run: Run
-    led: int
+    lead_frames: int
     known: tuple[int, ...]
     measured: Float[np.ndarray, "h 3"]
     noise: Float[np.ndarray, "3"]
@@ -92,22 +90,23 @@ def _window(
     recording: Run, part: np.ndarray, origin: float, lead: float, horizons: Sequence[float]
 ) -> PredictionWindow | None:
     times, pose = np.asarray(recording.times)[part], np.asarray(recording.pose)[part]
-    led = np.flatnonzero((times >= origin - lead - 1e-9) & (times <= origin + 1e-9))
-    if len(led) < FEWEST_FRAMES or not mean_speed(times[led], pose[led]) > LEAST_MOTION:
+    lead_frames = np.flatnonzero((times >= origin - lead - 1e-9) & (times <= origin + 1e-9))
+    if len(lead_frames) < FEWEST_FRAMES or not mean_speed(times[lead_frames], pose[lead_frames]) > LEAST_MOTION:
         return None
-    step = -(-len(led) // MOST_FRAMES)
-    led = led[::-1][::step][::-1]
+    step = -(-len(lead_frames) // MOST_FRAMES)
+    lead_frames = lead_frames[::-1][::step][::-1]
     known = tuple(i for i, h in enumerate(horizons) if origin + h <= times[-1] + 1e-9)
     ends = np.array([origin + horizons[i] for i in known])
     measured = np.stack([np.interp(ends, times, pose[:, c]) for c in range(3)], axis=1)
     # A recording that ends sooner is simulated all the same, so that all windows have one size.
-    every = np.array([origin + h for h in horizons])
-    inputs = _kept(recording.gait, times[led[0]] - HISTORY, every[-1] + AHEAD)
-    at, poses = np.concatenate([times[led], every]), np.concatenate([pose[led], np.full((len(every), 3), np.nan)])
+    horizon_times = np.array([origin + h for h in horizons])
+    inputs = _kept(recording.gait, times[lead_frames[0]] - HISTORY, horizon_times[-1] + AHEAD)
+    at = np.concatenate([times[lead_frames], horizon_times])
+    poses = np.concatenate([pose[lead_frames], np.full((len(horizon_times), 3), np.nan)])
     name = f"{recording.name}@{origin:.2f}"
-    how = {"moving": True, "labels": recording.labels}
-    run = Run(name, recording.role, jnp.asarray(at), jnp.asarray(poses), inputs, recording.payload, **how)
-    return PredictionWindow(group_of(recording), run, len(led), known, measured, np.ones(3))
+    run_options = {"moving": True, "labels": recording.labels}
+    run = Run(name, recording.role, jnp.asarray(at), jnp.asarray(poses), inputs, recording.payload, **run_options)
+    return PredictionWindow(group_of(recording), run, len(lead_frames), known, measured, np.ones(3))
 
 
 def _kept(inputs: AbstractInputs, first: float, last: float) -> AbstractInputs:
@@ -147,34 +146,35 @@ def predicted(model: Model, windows: Sequence[PredictionWindow]) -> list[Float[n
     noise = np.stack([w.noise for w in windows])[:, None, :]
     measured = np.asarray(problem.batch.weight) > 0
     problem = _weighted(problem, np.where(measured, 1 / noise, 0.0))
-    every = range(len(windows))
-    rough = problem.fit({}, (), every)
-    factor = _older_counts_less(problem, rough, measured)
-    fine = _weighted(problem, np.where(measured, factor[..., None] / noise, 0.0)).fit({}, (), every, rough.start)
-    poses = replayed(model, [w.run for w in windows], np.asarray(fine.start))
-    return [pose[w.led + np.array(w.known)] for pose, w in zip(poses, windows, strict=True)]
+    all_windows = range(len(windows))
+    equal_weights = problem.fit({}, (), all_windows)
+    factor = _older_counts_less(problem, equal_weights, measured)
+    problem = _weighted(problem, np.where(measured, factor[..., None] / noise, 0.0))
+    aged_weights = problem.fit({}, (), all_windows, equal_weights.start)
+    poses = replayed(model, [w.run for w in windows], np.asarray(aged_weights.start))
+    return [pose[w.lead_frames + np.array(w.known)] for pose, w in zip(poses, windows, strict=True)]
 
 
 def _lead_of(window: PredictionWindow) -> Run:
     """The run of a window without its horizons."""
     run = window.run
-    return dataclasses.replace(run, times=run.times[: window.led], pose=run.pose[: window.led])
+    return dataclasses.replace(run, times=run.times[: window.lead_frames], pose=run.pose[: window.lead_frames])
 
 
 def _weighted(problem: Problem, weight: np.ndarray) -> Problem:
     return eqx.tree_at(lambda p: p.batch.weight, problem, jnp.asarray(weight))
 
 
-def _older_counts_less(problem: Problem, rough, measured: np.ndarray) -> Float[np.ndarray, "R n"]:
-    """1 / sqrt(1 + c (a / lead)^3) of every frame, a its age, by the linear problem at `rough`."""
+def _older_counts_less(problem: Problem, equal_weights, measured: np.ndarray) -> Float[np.ndarray, "R n"]:
+    """1 / sqrt(1 + c (a / lead)^3) of every frame, a its age, by the linear problem at `equal_weights`."""
     times = np.asarray(problem.batch.times)
     factor = np.ones(times.shape)
     for k in range(len(times)):
         frames = np.flatnonzero(measured[k, :, 0])
         age = times[k, frames[-1]] - times[k, frames]
         share = (age / max(age[0], 1e-9)) ** 3
-        r = np.asarray(rough.linearised.residual[k])[frames]
-        J = np.asarray(rough.linearised.jacobian[k])[frames][..., 1:]
+        r = np.asarray(equal_weights.linearised.residual[k])[frames]
+        J = np.asarray(equal_weights.linearised.jacobian[k])[frames][..., 1:]
         if not (np.isfinite(r).all() and np.isfinite(J).all()):
             continue
         for c in STRENGTHS:

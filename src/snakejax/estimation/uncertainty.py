@@ -6,6 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from snakejax.core.parameter import Domain
+
 from .goodness_of_fit import consistent_with_noise
 from .jackknife import left_out_sd
 from .linearisation import Linearised, domains_of, project_out_starts
@@ -40,6 +42,14 @@ class Estimate(NamedTuple):
     def interval(self, quantile: float = 1.959964) -> tuple[float, float] | None:
         """The interval value -+ `quantile` sd; the default is the 95 % interval of the normal distribution."""
         return None if self.sd is None else (self.value - quantile * self.sd, self.value + quantile * self.sd)
+
+
+def estimate_of(value: float, step: float, domain: Domain, held: bool) -> Estimate:
+    """The estimate of a parameter of `domain` at `value`, whose standard error is one `step`; none where it is `held`
+    at a bound."""
+    shaped = domain.multiplicative or domain.typical is not None
+    sd = None if held else step * (abs(value) if domain.multiplicative else 1.0)
+    return Estimate(value, sd, domain.unit, not held and not (shaped and step > UNDETERMINED_SD), held)
 
 
 def spread(solution: Solution) -> float:

@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from snakejax.core.tabular import first_few
+
 from .readers import Capture
 from .readers.motion_plane import Ground, arms, ground_of, is_rigid
 from .readers.planar_pose import subjects
@@ -127,10 +129,9 @@ def notes_of(capture: Capture) -> list[str]:
     times = Counter(capture.doubled)
     if not times:
         return list(capture.notes)
-    listed = ", ".join(f"{name} ({1 + count} times)" for name, count in [*times.items()][:MOST_LISTED])
-    more = f", and {len(times) - MOST_LISTED} more" if len(times) > MOST_LISTED else ""
+    listed = first_few([f"{name} ({1 + count} times)" for name, count in times.items()], MOST_LISTED, comma=True)
     hidden = "only the first of each is shown, and none can be used"
-    return [*capture.notes, f"repeated names: {listed}{more}; {hidden}"]
+    return [*capture.notes, f"repeated names: {listed}; {hidden}"]
 
 
 def _ways_up(capture: Capture, grounds: Mapping[str, Ground | None], up: str | None) -> list[str]:

@@ -115,66 +115,68 @@ def _runs(
     rows: list[Table], folder: Path, vehicle: AbstractVehicle, actuators: Actuators
 ) -> tuple[tuple[Run, ...], tuple[Run, ...], dict[str, tuple[str, ...]]]:
     """The runs, the whole recordings, and what reading the files decided."""
-    pieces: list[_Piece] = []
+    sources: list[_RunSource] = []
     reading: dict[str, tuple[str, ...]] = {}
     for row in rows:
         if "files" in row.values:
             new, notes = _of_files(row, folder, vehicle)
         else:
             track = _track(row, folder)
-            new = [_Piece(row, read_inputs(row, folder, vehicle), None, track)]
+            new = [_RunSource(row, read_inputs(row, folder, vehicle), None, track)]
             notes = {_name(row): tuple(track.notes)} if track.notes else {}
-        pieces += new
+        sources += new
         reading |= notes
-    require_trackable([p.inputs for p in pieces], [p.row for p in pieces], actuators)
-    gaits = built_inputs([p.inputs for p in pieces], actuators, vehicle)
-    made = [_made(piece, folder, gait, vehicle) for piece, gait in zip(pieces, gaits, strict=True)]
-    runs = tuple(run for run, piece in zip(made, pieces, strict=True) if piece.used)
-    recordings = tuple(run for run, piece in zip(made, pieces, strict=True) if piece.whole)
+    require_trackable([source.inputs for source in sources], [source.row for source in sources], actuators)
+    gaits = built_inputs([source.inputs for source in sources], actuators, vehicle)
+    every_run = [_run_of_source(source, folder, gait, vehicle) for source, gait in zip(sources, gaits, strict=True)]
+    runs = tuple(run for run, source in zip(every_run, sources, strict=True) if source.is_fitted)
+    recordings = tuple(run for run, source in zip(every_run, sources, strict=True) if source.is_recording)
     require_differing([run.name for run in runs], rows[0])
     return runs, recordings, reading
 
 
-class _Piece(NamedTuple):
-    """What becomes a run: a `cut` of a file, or a `track` of its own; whether it is `used` in fits, and a `whole`
-    recording."""
+class _RunSource(NamedTuple):
+    """What becomes a run: a `cut` of a file, or a `track` of its own; whether it is used in fits, and whether it is a
+    whole recording."""
 
     row: Table
     inputs: RawInputs
     cut: Cut | None
     track: PoseTrack | None
-    used: bool = True
-    whole: bool = True
+    is_fitted: bool = True
+    is_recording: bool = True
 
 
-def _of_files(row: Table, folder: Path, vehicle: AbstractVehicle) -> tuple[list[_Piece], dict[str, tuple[str, ...]]]:
+def _of_files(
+    row: Table, folder: Path, vehicle: AbstractVehicle
+) -> tuple[list[_RunSource], dict[str, tuple[str, ...]]]:
     """The windows of all files of a row and the whole of each, and what reading them found."""
-    pieces, reading = [], {}
+    sources, reading = [], {}
     for recorded in recordings_of(row, folder, vehicle):
         cuts, entire = cuts_of(row, recorded), whole(recorded)
-        alone = len(cuts) == 1 and cuts[0].name == entire.name
-        pieces += [_Piece(row, cut.inputs, cut, None, whole=alone) for cut in cuts]
-        if not alone:
-            pieces.append(_Piece(row, entire.inputs, entire, None, used=False))
+        is_whole_recording = len(cuts) == 1 and cuts[0].name == entire.name
+        sources += [_RunSource(row, cut.inputs, cut, None, is_recording=is_whole_recording) for cut in cuts]
+        if not is_whole_recording:
+            sources.append(_RunSource(row, entire.inputs, entire, None, is_fitted=False))
         if recorded.notes:
             reading[recorded.name] = recorded.notes
-    if not any(piece.used for piece in pieces):
+    if not any(source.is_fitted for source in sources):
         raise row.error("files", "leaves no window in which the vehicle moves", "shorten windows, or leave them out")
-    return pieces, reading
+    return sources, reading
 
 
-def _made(piece: _Piece, folder: Path, gait: AbstractInputs, vehicle: AbstractVehicle) -> Run:
-    """The run of a piece, with its labels."""
-    row = piece.row
+def _run_of_source(source: _RunSource, folder: Path, gait: AbstractInputs, vehicle: AbstractVehicle) -> Run:
+    """The run of a `source`, with its labels."""
+    row = source.row
     labels = tuple((key, row.text(key, f'{key} = "{LABEL_EXAMPLES[key]}"')) for key in LABELS if key in row.values)
-    if piece.cut is None:
-        assert piece.track is not None
-        return dataclasses.replace(_run(row, folder, piece.track, gait, vehicle), labels=labels)
-    cut = piece.cut
+    if source.cut is None:
+        assert source.track is not None
+        return dataclasses.replace(_run(row, folder, source.track, gait, vehicle), labels=labels)
+    cut = source.cut
     times, pose, payload = (jnp.asarray(part, jnp.float64) for part in (cut.times, cut.pose, _payload(row)))
-    source = cut.name.split("@")[0]
+    recording = cut.name.split("@")[0]
     run = Run(cut.name, row.values["role"], times, pose, gait, payload, True, labels=labels)
-    return run if source == cut.name else dataclasses.replace(run, cut_from=source)
+    return run if recording == cut.name else dataclasses.replace(run, cut_from=recording)
 
 
 def _payload(row: Table) -> list[float]:

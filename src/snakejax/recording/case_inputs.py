@@ -14,7 +14,7 @@ from jaxtyping import Float
 from snakejax.core.parameter import Domain
 from snakejax.core.toml_table import Table
 from snakejax.dynamics.inputs import FOLLOWS_OPPOSITE, AbstractInputs, Input
-from snakejax.dynamics.sampled_signals import Actuator, Held
+from snakejax.dynamics.sampled_signals import HISTORY, Actuator, Held, samples_between
 from snakejax.dynamics.signals import AbstractSignal, Logged, Sines, Tracked
 from snakejax.dynamics.vehicle import AbstractVehicle
 
@@ -27,8 +27,6 @@ GAINS = ("kp", "kd")
 LOG_KEYS = ("file", "kind", "offset_s", "drift", "hold")
 ESTIMATE = "estimate"
 LOG_EXAMPLE = 'joint_log = {file = "joints.csv", kind = "commanded"}'
-HISTORY = 3.0
-"""Time [s] of a held log that is kept before the first sample used: lags forget within it."""
 
 Signal = Sines | Logged | Held
 
@@ -44,7 +42,7 @@ class Actuators(NamedTuple):
     """The gains of the controller of all inputs, and the actuator or gains of single ones by name."""
 
     gains: dict[str, float] | None
-    own: dict[str, Actuator | dict[str, float]]
+    by_input: dict[str, Actuator | dict[str, float]]
 
 
 def read_actuators(table: Table, vehicle: AbstractVehicle) -> Actuators:
@@ -57,11 +55,11 @@ def read_actuators(table: Table, vehicle: AbstractVehicle) -> Actuators:
     gains = None
     if any(key in actuator.values for key in GAINS) or not actuator.values:
         gains = {key: actuator.number(key, domain_of(Tracked, key)) for key in GAINS}
-    own = {}
+    by_input = {}
     for name in names:
         if name in actuator.values:
-            own[name] = _actuator(actuator.table(name, f"[actuator.{name}] with lag_s, or kp and kd"))
-    return Actuators(gains, own)
+            by_input[name] = _actuator(actuator.table(name, f"[actuator.{name}] with lag_s, or kp and kd"))
+    return Actuators(gains, by_input)
 
 
 def _actuator(table: Table) -> Actuator | dict[str, float]:
@@ -109,8 +107,7 @@ def _kept(row: Table, times: Float[np.ndarray, " n"]) -> slice:
     start, last = row.vector("window_s", 2, "window_s = [first second, last second]")
     # A run from rest is simulated from time 0, wherever its window begins.
     begins = start if row.values.get("start") == "moving" else min(start, 0.0)
-    first = max(int(np.searchsorted(times, begins - HISTORY)) - 1, 0)
-    return slice(first, max(int(np.searchsorted(times, last)) + 1, first + 1))
+    return samples_between(times, begins - HISTORY, last)
 
 
 def input_keys(vehicle: AbstractVehicle) -> tuple[str, ...]:
@@ -144,10 +141,10 @@ def built_inputs(raw: Sequence[RawInputs], actuators: Actuators, vehicle: Abstra
     def acted(name: str, signal: Signal, exact: bool) -> AbstractSignal:
         if isinstance(signal, Sines):
             signal = signal.padded(max(sines))
-        own = actuators.own.get(name, actuators.gains)
-        if exact or own is None:
+        actuator = actuators.by_input.get(name, actuators.gains)
+        if exact or actuator is None:
             return signal
-        return own.acted(signal) if isinstance(own, Actuator) else Tracked(signal, **own)
+        return actuator.acted(signal) if isinstance(actuator, Actuator) else Tracked(signal, **actuator)
 
     return [
         vehicle.inputs_of(OrderedDict((name, acted(name, s, r.exact)) for name, s in r.signals.items())) for r in raw
@@ -158,7 +155,7 @@ def require_trackable(raw: Sequence[RawInputs], rows: Sequence[Table], actuators
     """**Raises:** `InputError` where held commands shall be tracked by gains: their steps have no rate."""
     for signals, row in zip(raw, rows, strict=True):
         for name, signal in signals.signals.items():
-            tracked = isinstance(actuators.own.get(name, actuators.gains), dict)
+            tracked = isinstance(actuators.by_input.get(name, actuators.gains), dict)
             if isinstance(signal, Held) and tracked and not signals.exact:
                 what = f"holds {name} between samples, but kp and kd track commands without jumps"
                 raise row.error("joint_log", what, f"write [actuator.{name}] with lag_s in place of kp and kd")

@@ -33,8 +33,8 @@ def jumps(times: Float[np.ndarray, " n"], pose: Float[np.ndarray, "n 3"]) -> lis
     """The times [s] at which a recording jumps."""
     parts = continuous_parts(times, pose)
     jump_times = []
-    for one, two in itertools.pairwise(parts):
-        a, b = one[-1], two[0]
+    for earlier, later in itertools.pairwise(parts):
+        a, b = earlier[-1], later[0]
         if np.hypot(*(pose[b, :2] - pose[a, :2])) > FASTEST * (times[b] - times[a]) + JITTER:
             jump_times.append(float(times[b]))
     return jump_times

@@ -11,12 +11,12 @@ import numpy as np
 from snakejax.core.errors import InputError
 from snakejax.core.parameter import Domain
 from snakejax.core.toml_table import Table
-from snakejax.dynamics.sampled_signals import Held
+from snakejax.dynamics.sampled_signals import AHEAD, HISTORY, Held, samples_between
 from snakejax.dynamics.signals import Logged
 from snakejax.dynamics.vehicle import AbstractVehicle
 
 from .annotations import annotations_of
-from .case_inputs import HISTORY, KINDS, RawInputs, Signal
+from .case_inputs import KINDS, RawInputs, Signal
 from .continuous import LEAST_MOTION, chosen_windows, jumps, mean_speed
 from .quality import smoothed
 from .readers import FEWEST_SAMPLES, FileAnnotations, PoseTrack, read_capture
@@ -29,8 +29,6 @@ WINDOW_KEYS = ("length_s", "most", "rate_hz")
 FILES_EXAMPLE = 'files = "0909_*.csv"'
 WINDOWS_EXAMPLE = "windows = {length_s = 1.5, most = 20}"
 USUAL_LENGTH, USUAL_MOST = 1.5, 20
-AHEAD = 0.5
-"""Time [s] of a held log after a window that is kept: the clock of the inputs may be that late."""
 COASTING = 1.0
 """A vehicle that moves longer than this [s] after its safety went off is carried, or creeps."""
 
@@ -43,6 +41,14 @@ class Recorded(NamedTuple):
     inputs: TableInputs
     measured: bool
     notes: tuple[str, ...]
+
+
+class PoseReading(NamedTuple):
+    """How the poses of a file are read: what points `up`, the user's `hints`, and which `object` is the vehicle."""
+
+    up: str | Sequence[float]
+    hints: FileAnnotations
+    object: str
 
 
 class Cut(NamedTuple):
@@ -88,13 +94,14 @@ def recordings_of(row: Table, folder: Path, vehicle: AbstractVehicle) -> list[Re
         body, up = body_of(capture, object, hints), up_by(capture, hints)
         if len(body.times) != len(next(iter(table.values()))):
             raise InputError("Poses and inputs have not the same rows", str(path), "write one row for each frame")
+        reading = PoseReading(up, hints, object)
         labels = table[each] if each else np.zeros(len(body.times))
         for label in dict.fromkeys(labels.tolist()):
             rows = np.flatnonzero(labels == label)
             name = f"{path.stem}[{label:g}]" if each else path.stem
             part = {key: values[rows] for key, values in table.items()}
             try:
-                recordings.append(_recorded(name, _rows(body, rows), part, columns, (up, hints, object), vehicle, kind))
+                recordings.append(_recorded(name, _rows(body, rows), part, columns, reading, vehicle, kind))
             except InputError:
                 raise
             except ValueError as error:
@@ -112,20 +119,19 @@ def _recorded(
     body: Body,
     table: Mapping[str, np.ndarray],
     columns: Mapping[str, str],
-    how: tuple[object, FileAnnotations, str],
+    reading: PoseReading,
     vehicle: AbstractVehicle,
     kind: str,
 ) -> Recorded:
     """One recording from rows of a table, its frames in order, without those in which the vehicle was carried."""
-    up, hints, object = how
     notes = []
     kept = np.concatenate([[True], np.diff(np.maximum.accumulate(body.times)) > 0])
     if not kept.all():
         notes.append(f"{int((~kept).sum())} frames came out of order and are left out")
     arrival = body.times[kept]
     messages = table_inputs({k: v[kept] for k, v in table.items()}, columns, arrival, vehicle.inputs)
-    track = planar(_rows(body, np.flatnonzero(kept)), up, None, object)  # type: ignore[arg-type]
-    pose = track.pose - np.array([0.0, 0.0, X_AXIS_DIRECTIONS[hints.x_axis]])
+    track = planar(_rows(body, np.flatnonzero(kept)), reading.up, None, reading.object)
+    pose = track.pose - np.array([0.0, 0.0, X_AXIS_DIRECTIONS[reading.hints.x_axis]])
     messages = messages._replace(times=messages.times - arrival[0])
     carried = _carried(track.times, pose, messages)
     if carried.any():
@@ -197,12 +203,10 @@ def _cut(recorded: Recorded, frames: np.ndarray) -> Cut:
 def _signals(recorded: Recorded, zero: float, first: float, last: float) -> RawInputs:
     """The inputs from `first` to `last` [s], on a clock that starts at `zero`."""
     times = recorded.inputs.times
-    a = max(int(np.searchsorted(times, first)) - 1, 0)
-    b = max(int(np.searchsorted(times, last)) + 1, a + 4)
-    a = max(min(a, len(times) - 4), 0)
+    kept = samples_between(times, first, last, fewest=4)
     signals: dict[str, Signal] = {}
     for name, values in recorded.inputs.values.items():
-        at, value = times[a:b] - zero, values[a:b]
+        at, value = times[kept] - zero, values[kept]
         if recorded.measured:
             signals[name] = Logged.of(at, *smoothed(at, value))
         else:

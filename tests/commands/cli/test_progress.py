@@ -14,7 +14,7 @@ from helpers.folders import DATA
 
 from snakejax.commands.cli import progress as _progress
 from snakejax.commands.cli.pipeline import Outcome, each_case
-from snakejax.commands.cli.progress import ROUTES, progress
+from snakejax.commands.cli.progress import PHASES_OF, progress
 from snakejax.core.progress import Phase, ProgressEvent
 
 pty = pytest.importorskip("pty", reason="Windows has no pseudo-terminals.")
@@ -109,7 +109,7 @@ def test_one_case_alone_has_the_time_left_too(clock, monkeypatch) -> None:
         clock.now += 5
         say(ProgressEvent(Phase.WINDOWS), label="a")  # The bar does not go back.
         again = terminal.line()
-    usual = [phase.seconds for phase in ROUTES["explain"] if phase.usual]
+    usual = [phase.seconds for phase in PHASES_OF["explain"] if phase.usual]
     assert re.search(r"left 0:00:(\d+)$", first)[1] == f"{sum(usual):02.0f}"
     left = 30 / sum(usual[:2]) * sum(usual[2:])
     assert later.endswith(f"left {timedelta(seconds=int(left))}")
@@ -124,7 +124,7 @@ def test_every_phase_of_a_computation_has_its_place_on_a_route() -> None:
     reporting = [*commands, *(source / "estimation").rglob("*.py"), *(source / "diagnosis").rglob("*.py")]
     reported = {name for file in reporting for name in re.findall(r"\bPhase\.(\w+)", file.read_text())}
     assert len(reported) > 15
-    on_routes = {stop.phase.name for route in ROUTES.values() for stop in route}
+    on_routes = {stop.phase.name for route in PHASES_OF.values() for stop in route}
     assert reported - {Phase.POSTERIOR_SAMPLES.name} == on_routes  # Samples are counted, and drawn by `tune` alone.
 
 

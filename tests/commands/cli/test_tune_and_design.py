@@ -81,9 +81,9 @@ def test_the_board_carries_what_the_first_run_does_or_what_is_asked(told, option
 @pytest.mark.slow
 def test_a_payload_is_said_where_any_run_has_one(case) -> None:
     read = load_case(case)
-    assert gait_options.carried((0.0, 0.0), read) == ((0.0, 0.0), ", carrying nothing")
+    assert gait_options.design_payload((0.0, 0.0), read) == ((0.0, 0.0), ", carrying nothing")
     empty = eqx.tree_at(lambda c: c.runs[0].payload, read, jnp.zeros(2))
-    assert gait_options.carried(None, empty) == ((0.0, 0.0), "")
+    assert gait_options.design_payload(None, empty) == ((0.0, 0.0), "")
     assert gait_options.payload_of("2") == (2.0, 0.0) and gait_options.payload_of(None) is None
     for text in ("1,2,3", "-1", "x"):
         with pytest.raises(InputError, match=r"payload|number"):

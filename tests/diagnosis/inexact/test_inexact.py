@@ -12,18 +12,18 @@ from snakejax.core.parameter import Domain
 from snakejax.diagnosis.inexact import evidence
 from snakejax.diagnosis.inexact.assessment import Assessment
 from snakejax.diagnosis.inexact.candidate_model import CandidateModel
-from snakejax.diagnosis.inexact.evidence import World
+from snakejax.diagnosis.inexact.evidence import ModelEvidence
 from snakejax.diagnosis.inexact.explaining import shares_of
 from snakejax.diagnosis.inexact.left_out import LeftOut
 from snakejax.diagnosis.inexact.search import FURTHEST_CONSTANT, FURTHEST_FACTOR, Search
 from snakejax.diagnosis.inexact.subsets import (
     Subsets,
+    addition_gains,
     best_subset,
-    falls,
-    gains,
     left_out_deviances,
     left_out_errors,
     prune,
+    removal_costs,
     substitutes,
 )
 from snakejax.diagnosis.selection.criteria import CRITERIA
@@ -82,10 +82,10 @@ def test_chance_is_taken_for_an_effect_as_often_as_the_level_says() -> None:
     assert taken <= stats.binom.isf(0.003, 300, level)
 
 
-def test_falls_and_gains_are_one_difference_of_chi2() -> None:
+def test_costs_of_removal_and_gains_of_addition_are_one_difference_of_chi2() -> None:
     made, _ = problem(3, {"a": 10.0})
-    assert falls(made, "ab")["b"] == pytest.approx(gains(made, "a")["b"])
-    assert falls(made, "ab")["a"] > made.threshold("a") > falls(made, "ab")["b"]
+    assert removal_costs(made, "ab")["b"] == pytest.approx(addition_gains(made, "a")["b"])
+    assert removal_costs(made, "ab")["a"] > made.threshold("a") > removal_costs(made, "ab")["b"]
     assert prune(made, "ab") == ["a"]
 
 
@@ -140,8 +140,9 @@ def test_an_effect_predicts_where_it_acts() -> None:
 
     alone = (runs[:, None], np.zeros((len(runs), 1)), np.ones((len(runs), 1), bool))
     judged = LeftOut(Linear, runs, *alone, 400)  # type: ignore[arg-type]
-    assert judged.gain("ab", "a").predicts
-    assert 0 < judged.gain("ab", "a").share < judged.explained_share("a") + 0.05
+    assert judged.gain("ab", "a").exceeds_standard_error
+    explained_share = 1.0 - judged.error("a").sum() / judged.error([]).sum()
+    assert 0 < judged.gain("ab", "a").share < explained_share + 0.05
     assert judged.gain("ab", "b").share < 0.02
 
 
@@ -196,7 +197,7 @@ def test_a_random_force_that_the_runs_do_not_show_has_no_share(evidence: float, 
     parts = dict.fromkeys(Assessment._fields) | {
         "linear": linear,
         "search": SimpleNamespace(scales=SimpleNamespace(force=np.full(3, 2.0))),
-        "world": World(evidence, 100.0, 0.0, CRITERIA.random_force_chi2),
+        "evidence": ModelEvidence(evidence, 100.0, 0.0, CRITERIA.random_force_chi2),
     }
     assert Assessment(**parts).random_force_share == pytest.approx(share)  # type: ignore[arg-type]
 

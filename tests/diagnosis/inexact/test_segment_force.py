@@ -86,7 +86,7 @@ def test_long_runs_are_cut_into_windows_with_free_starts(monkeypatch: Any) -> No
     monkeypatch.setattr(segment_force, "LONGEST", 5)
     cut = force_windows(search, linear)
     assert np.bincount(cut.owner).tolist() == [4, 4] and cut.samples == whole.samples
-    assert (cut.onto.sum(axis=2) > 0.5).sum() == len(search.segments.cut.run)
+    assert (cut.knot_projection.sum(axis=2) > 0.5).sum() == len(search.segments.cut.run)
     P, owner = len(NAMES), cut.owner
     for run in range(2):
         less = whole.matrix[run, :P, :P] - cut.matrix[owner == run, :P, :P].sum(axis=0)

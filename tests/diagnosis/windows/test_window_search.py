@@ -19,7 +19,7 @@ from snakejax.diagnosis.windows.explaining import (
     recordings_of,
     supports,
 )
-from snakejax.diagnosis.windows.own_motion import own_errors, steady_windows
+from snakejax.diagnosis.windows.repeatability import repeatability_errors, steady_windows
 from snakejax.diagnosis.windows.search import Candidate, SearchState, _p_value
 from snakejax.dynamics.inputs import Inputs
 from snakejax.dynamics.model import Model
@@ -76,7 +76,9 @@ def test_a_structure_is_taken_alone_or_for_the_effects_that_it_lets_act(
 
     further = {"base": "base, b", "slips": "slips, a"}
     monkeypatch.setattr(explaining, "further_states", lambda _, first: [state(further[first.linear])])
-    monkeypatch.setattr(explaining, "left_out_gain", lambda old, new: SimpleNamespace(predicts=(old, new) in better))
+    monkeypatch.setattr(
+        explaining, "left_out_gain", lambda old, new: SimpleNamespace(exceeds_standard_error=(old, new) in better)
+    )
     question: Any = SimpleNamespace(
         sets=(0, 1), searches=(None, None), first=lambda number: state("slips" if number else "base")
     )
@@ -155,7 +157,7 @@ def test_few_recordings_are_left_out_in_parts() -> None:
     assert np.unique(recordings_of([f"run{k:03}" for k in range(100)])).size == MOST_RECORDINGS
 
 
-def test_the_error_about_the_own_motion_is_what_a_steady_circle_lacks() -> None:
+def test_the_repeatability_error_is_what_a_steady_circle_lacks() -> None:
     times = np.arange(30) * 0.05
     rng = np.random.default_rng(2)
     heading = 0.4 + 1.5 * times
@@ -168,7 +170,7 @@ def test_the_error_about_the_own_motion_is_what_a_steady_circle_lacks() -> None:
         pose = np.column_stack([path, heading]) + rng.normal(size=(30, 3)) * noise
         runs.append(Run(f"w{k}", "train", times, pose, varying if k % 4 == 0 else gait, moving=True, cut_from="one"))
     assert steady_windows(runs) == [[k for k in range(40) if k % 4]]
-    errors = own_errors([runs[k] for k in range(40) if k % 4], noise)
+    errors = repeatability_errors([runs[k] for k in range(40) if k % 4], noise)
     # Position counts two channels of 1 mm each.
     np.testing.assert_allclose(np.sqrt((errors**2).mean(axis=0)), [np.sqrt(2) * 1e-3, 2e-3], rtol=0.1)
 
@@ -182,7 +184,7 @@ def test_runs_that_turn_at_rates_of_their_own_do_not_repeat() -> None:
         path = np.cumsum(np.column_stack([np.cos(heading), np.sin(heading)]), axis=0) * 0.05
         pose = np.column_stack([path, heading])
         runs.append(Run(f"w{k}", "train", times, pose, gait, moving=True, cut_from="one"))
-    errors = own_errors(runs, np.array([1e-3, 1e-3, 2e-3]))
+    errors = repeatability_errors(runs, np.array([1e-3, 1e-3, 2e-3]))
     # A rate off by 0.1 rad/s leaves 0.1 times the standard deviation of time about its mean in heading, where the
     # start heading is free; the position has a say in it too.
     expected = 0.1 * times.std()

@@ -8,7 +8,7 @@ from snakejax.core.errors import InputError, instead_of
 from snakejax.core.progress import Phase, Progress, ProgressEvent
 
 from .fit_pipeline import fitted
-from .gait_options import GaitRequest, add_gait, carried, gait_request, payload_json
+from .gait_options import GaitRequest, add_gait, design_payload, gait_request, payload_json
 from .gait_output import GaitOutput, gait_outcome
 from .options import (
     EffectSpec,
@@ -110,7 +110,7 @@ def work(options: argparse.Namespace, case: Any, request: GaitRequest, say: Prog
     assert length is not None
     fit, noise = fitted(fit_options, case, say)
     limits = Limits.of(request.limit, reached_by(gaits, fit.model, length) if gaits else None)
-    payload, with_payload = carried(request.payload, case)
+    payload, with_payload = design_payload(request.payload, case)
     say(ProgressEvent(Phase.PRIOR_INFORMATION))
     information = prior_information(fit, effects_by_name, fixed)
     how = {
@@ -164,13 +164,13 @@ def _output(
 ) -> GaitOutput:
     """What is delivered of the design; `payload` with the words that describe it."""
     from snakejax.design.experiments import PrecisionDesign
-    from snakejax.present.as_json.design import separation_json, sharpening_json
-    from snakejax.present.as_text.design import separation_report, sharpening_report
+    from snakejax.present.as_json.design import discrimination_json, precision_json
+    from snakejax.present.as_text.design import discrimination_report, precision_report
 
     if isinstance(design, PrecisionDesign):
-        parts, text = sharpening_json(design, objective), sharpening_report(name, design, payload[1])
+        parts, text = precision_json(design, objective), precision_report(name, design, payload[1])
     else:
-        parts, text = separation_json(design, objective), separation_report(name, design, payload[1])
+        parts, text = discrimination_json(design, objective), discrimination_report(name, design, payload[1])
     return GaitOutput(design.tuned, {**heading, **parts, **payload_json(payload[0])}, text, "designed")
 
 

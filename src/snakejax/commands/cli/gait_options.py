@@ -62,7 +62,7 @@ def payload_of(text: str | None) -> tuple[float, float] | None:
     return parts[0], parts[1] if len(parts) == 2 else 0.0
 
 
-def carried(payload: tuple[float, float] | None, subject: Any) -> tuple[tuple[float, float], str]:
+def design_payload(payload: tuple[float, float] | None, subject: Any) -> tuple[tuple[float, float], str]:
     """The payload [kg, kg m^2] of the design (by default of the first run), and the words that describe it."""
     from snakejax.vehicles.snakeboard.paper_examples import Preset
 

@@ -16,7 +16,7 @@ class ProgressLine(Protocol):
     def __call__(self, event: ProgressEvent, /, case: int = 0, label: str = "") -> None: ...
 
 
-class Stop(NamedTuple):
+class PhaseDuration(NamedTuple):
     """One phase on the route of a command: its usual duration [s], and whether it usually occurs."""
 
     phase: Phase
@@ -26,65 +26,65 @@ class Stop(NamedTuple):
 
 # The seconds only set the length of a bar.
 _FIT = (
-    Stop(Phase.FIRST_SECONDS, 3.0),
-    Stop(Phase.LONGER_HORIZON, 0.5),
-    Stop(Phase.WHOLE_RUNS, 3.0),
-    Stop(Phase.WINDOWS, 7.0, False),
-    Stop(Phase.TIGHTER_TOLERANCES, 6.0, False),
-    Stop(Phase.LOG_CLOCKS, 10.0, False),
-    Stop(Phase.LOG_NOISE, 40.0, False),
-    Stop(Phase.LOG_CLOCK_ERRORS, 10.0, False),
+    PhaseDuration(Phase.FIRST_SECONDS, 3.0),
+    PhaseDuration(Phase.LONGER_HORIZON, 0.5),
+    PhaseDuration(Phase.WHOLE_RUNS, 3.0),
+    PhaseDuration(Phase.WINDOWS, 7.0, False),
+    PhaseDuration(Phase.TIGHTER_TOLERANCES, 6.0, False),
+    PhaseDuration(Phase.LOG_CLOCKS, 10.0, False),
+    PhaseDuration(Phase.LOG_NOISE, 40.0, False),
+    PhaseDuration(Phase.LOG_CLOCK_ERRORS, 10.0, False),
 )
 # As above.
 _DIAGNOSE = (
-    Stop(Phase.WINDOWS, 5.0),
-    Stop(Phase.WHOLE_RUNS, 3.0),
-    Stop(Phase.FIRST_SECONDS, 4.0, False),
-    Stop(Phase.LONGER_HORIZON, 0.5, False),
-    Stop(Phase.TIGHTER_TOLERANCES, 6.0, False),
-    Stop(Phase.LOG_NOISE, 40.0, False),
-    Stop(Phase.SCORE_TESTS, 2.0),
-    Stop(Phase.SCREENING, 5.0),
-    Stop(Phase.SCREENING_CANDIDATES, 7.0),
-    Stop(Phase.REFITTING_CANDIDATES, 5.0),
-    Stop(Phase.REFITTING_OTHER_STRUCTURE, 6.0, False),
+    PhaseDuration(Phase.WINDOWS, 5.0),
+    PhaseDuration(Phase.WHOLE_RUNS, 3.0),
+    PhaseDuration(Phase.FIRST_SECONDS, 4.0, False),
+    PhaseDuration(Phase.LONGER_HORIZON, 0.5, False),
+    PhaseDuration(Phase.TIGHTER_TOLERANCES, 6.0, False),
+    PhaseDuration(Phase.LOG_NOISE, 40.0, False),
+    PhaseDuration(Phase.SCORE_TESTS, 2.0),
+    PhaseDuration(Phase.SCREENING, 5.0),
+    PhaseDuration(Phase.SCREENING_CANDIDATES, 7.0),
+    PhaseDuration(Phase.REFITTING_CANDIDATES, 5.0),
+    PhaseDuration(Phase.REFITTING_OTHER_STRUCTURE, 6.0, False),
 )
 # As above.
-_DRAWING = Stop(Phase.DRAWING, 5.0)
-ROUTES: dict[str, tuple[Stop, ...]] = {
-    "fit": (*_FIT, Stop(Phase.PROFILE, 10.0, False), _DRAWING),
-    "compare": (*_FIT, Stop(Phase.COMPARISON, 1.5), Stop(Phase.OTHER_MODELS, 10.0, False), _DRAWING),
+_DRAWING = PhaseDuration(Phase.DRAWING, 5.0)
+PHASES_OF: dict[str, tuple[PhaseDuration, ...]] = {
+    "fit": (*_FIT, PhaseDuration(Phase.PROFILE, 10.0, False), _DRAWING),
+    "compare": (*_FIT, PhaseDuration(Phase.COMPARISON, 1.5), PhaseDuration(Phase.OTHER_MODELS, 10.0, False), _DRAWING),
     "diagnose": (*_DIAGNOSE, _DRAWING),
-    "predict": (Stop(Phase.PREDICTION, 10.0), _DRAWING),
+    "predict": (PhaseDuration(Phase.PREDICTION, 10.0), _DRAWING),
     "explain": (
         *_DIAGNOSE,
-        Stop(Phase.TYRE_BESIDE_FORCE, 5.0, False),
-        Stop(Phase.CHOOSING_EFFECTS, 15.0, False),
-        Stop(Phase.FITTING_EFFECTS, 15.0, False),
-        Stop(Phase.PREDICTIVE_CHECK, 4.0, False),
-        Stop(Phase.PREDICTION, 4.0),
-        Stop(Phase.BEAM_SEARCH, 12.0, False),
-        Stop(Phase.REFITTING_SETS, 8.0, False),
-        Stop(Phase.ELIMINATION, 5.0, False),
-        Stop(Phase.LATENT_FORCE, 7.0, False),
-        Stop(Phase.FORCE_REGRESSION, 3.0, False),
-        Stop(Phase.LAW_SEARCH, 8.0, False),
-        Stop(Phase.COEXISTING_EFFECTS, 20.0, False),
-        Stop(Phase.LAW_FIT, 20.0, False),
+        PhaseDuration(Phase.TYRE_BESIDE_FORCE, 5.0, False),
+        PhaseDuration(Phase.CHOOSING_EFFECTS, 15.0, False),
+        PhaseDuration(Phase.FITTING_EFFECTS, 15.0, False),
+        PhaseDuration(Phase.PREDICTIVE_CHECK, 4.0, False),
+        PhaseDuration(Phase.PREDICTION, 4.0),
+        PhaseDuration(Phase.BEAM_SEARCH, 12.0, False),
+        PhaseDuration(Phase.REFITTING_SETS, 8.0, False),
+        PhaseDuration(Phase.ELIMINATION, 5.0, False),
+        PhaseDuration(Phase.LATENT_FORCE, 7.0, False),
+        PhaseDuration(Phase.FORCE_REGRESSION, 3.0, False),
+        PhaseDuration(Phase.LAW_SEARCH, 8.0, False),
+        PhaseDuration(Phase.COEXISTING_EFFECTS, 20.0, False),
+        PhaseDuration(Phase.LAW_FIT, 20.0, False),
         _DRAWING,
     ),
 }
 """The phases of each command in order. The seconds are those of a usual recording; only their ratios matter."""
 
 
-class Course:
+class ProgressEstimator:
     """The progress of one command, estimated from its phases, and the time at which it will end.
 
     The remaining phases are assumed to take as many times their usual seconds as the finished ones took. A phase that
     repeats does not move the progress back.
     """
 
-    def __init__(self, route: tuple[Stop, ...], cases: int, now: float) -> None:
+    def __init__(self, route: tuple[PhaseDuration, ...], cases: int, now: float) -> None:
         self.route, self.cases = route, cases
         self.case, self.place, self.begun, self.first = 0, 0, now, now
 
@@ -96,14 +96,14 @@ class Course:
         if not self.route:
             return case / self.cases, None if each is None else self.begun + (self.cases - case) * each
         self.place = max([self.place, *(k for k, stop in enumerate(self.route) if stop.phase is phase)])
-        behind = sum(stop.seconds for stop in self.route[: self.place] if stop.usual)
-        before = self.route[self.place].seconds
-        before += sum(stop.seconds for stop in self.route[self.place + 1 :] if stop.usual)
-        usual = each / (behind + before) if each is not None else 1.0
-        pace = (now - self.begun) / behind if behind else usual
-        each = pace * (behind + before) if each is None else each
-        share = behind / (behind + before)
-        return (case + share) / self.cases, now + pace * before + (self.cases - case - 1) * each
+        seconds_done = sum(stop.seconds for stop in self.route[: self.place] if stop.usual)
+        seconds_left = self.route[self.place].seconds
+        seconds_left += sum(stop.seconds for stop in self.route[self.place + 1 :] if stop.usual)
+        usual = each / (seconds_done + seconds_left) if each is not None else 1.0
+        pace = (now - self.begun) / seconds_done if seconds_done else usual
+        each = pace * (seconds_done + seconds_left) if each is None else each
+        share = seconds_done / (seconds_done + seconds_left)
+        return (case + share) / self.cases, now + pace * seconds_left + (self.cases - case - 1) * each
 
 
 LINE_EVERY = 60.0
@@ -161,24 +161,24 @@ def progress(quiet: bool, cases: int = 1, command: str = "", drawing: bool = Fal
     )
     with parts.Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("starting", total=None, ends=None)
-        route = tuple(stop for stop in ROUTES.get(command, ()) if drawing or stop is not _DRAWING)
-        course, begun, counted = Course(route, cases, time.monotonic()), 0.0, (None, None)
+        route = tuple(stop for stop in PHASES_OF.get(command, ()) if drawing or stop is not _DRAWING)
+        estimator, begun, counted = ProgressEstimator(route, cases, time.monotonic()), 0.0, (None, None)
 
         def say(event: ProgressEvent, /, case: int = 0, label: str = "") -> None:
             nonlocal begun, counted
             now, count = time.monotonic(), (event.done, event.total)
             if event.total is None:
-                came, ends = course.at(event.phase, case, now)
+                completed, ends = estimator.at(event.phase, case, now)
                 full = None if ends is None else 1.0
             else:
-                came, full = float(event.done or 0), float(event.total)
+                completed, full = float(event.done or 0), float(event.total)
                 begun = now if event.total != counted[1] else begun
                 ends = bar.tasks[0].fields["ends"] if count == counted else None
-                ends = now + (now - begun) * (full - came) / came if came and ends is None else ends
+                ends = now + (now - begun) * (full - completed) / completed if completed and ends is None else ends
             counted = count
             bar.tasks[0].total = full  # `update` ignores None
             sentence = f"{label}: {event.sentence}" if label else event.sentence
-            bar.update(task, description=sentence, completed=came, ends=ends)
+            bar.update(task, description=sentence, completed=completed, ends=ends)
 
         yield say
 

@@ -5,7 +5,7 @@ from typing import Any
 
 from snakejax.core.progress import Progress
 
-from .gait_options import GaitRequest, add_gait, carried, gait_request, payload_json
+from .gait_options import GaitRequest, add_gait, design_payload, gait_request, payload_json
 from .gait_output import GaitOutput, gait_outcome
 from .options import add_cases, add_command, add_fitting, add_loading, add_model, add_output, given, model_options
 from .pipeline import Outcome, Stopwatch, each_case
@@ -67,7 +67,7 @@ def work(options: argparse.Namespace, subject: Any, request: GaitRequest, say: P
     from ..gaits import objective_of, tune_subject
 
     clock = Stopwatch()
-    payload, with_payload = carried(request.payload, subject)
+    payload, with_payload = design_payload(request.payload, subject)
     tune_options: Any = {
         **model_options(options),
         **request._asdict(),

@@ -9,14 +9,14 @@ from snakejax.core.progress import Phase, ProgressEvent
 from snakejax.estimation.discrepancy.kalman import gram_matrices
 from snakejax.estimation.discrepancy.least_squares import Optimum
 from snakejax.estimation.discrepancy.open_loop import open_loop
-from snakejax.estimation.uncertainty import UNDETERMINED_SD, Estimate
+from snakejax.estimation.uncertainty import Estimate, estimate_of
 from snakejax.recording.run import Run
 
 from ..explanation import RunBand
 from ..odd_runs import OddRun, odd_runs
 from ..selection.candidates import CandidateSet
 from .confidence import Confidence, confidence
-from .evidence import World, world
+from .evidence import ModelEvidence, model_evidence
 from .left_out import LeftOut, left_out
 from .prediction import PredictiveCheck, bands, left_out_bands, likelier_segments, predictive_check, simulated_segments
 from .search import ARRIVED, Linear, Search, distance
@@ -27,10 +27,10 @@ class Assessment(NamedTuple):
     """What a search has found.
 
     `base`: effects that were in the model from the start; `effects`, the strongest first; `wide`: the problem under the
-    discrepancy of intervals (`interval_force`); `confidence` of each effect; `predicted`: runs left out; `world`: what
-    else is there; `check` of the held-out runs; `floor` (3,) [m, m, rad]: what vehicle and cameras leave of whole runs;
-    `bands` of all runs; `odd_runs` among the train runs; `candidate_set`: that of the search;
-    `undecided_laws`: formulas of laws among which the runs cannot choose, so that none of them is an effect.
+    discrepancy of intervals (`interval_force`); `confidence` of each effect; `predicted`: runs left out; `evidence` of
+    what else is there; `check` of the held-out runs; `floor` (3,) [m, m, rad]: what vehicle and cameras leave of whole
+    runs; `bands` of all runs; `odd_runs` among the train runs; `candidate_set`: that of the search; `undecided_laws`:
+    formulas of laws among which the runs cannot choose, so that none of them is an effect.
     """
 
     search: Search
@@ -40,7 +40,7 @@ class Assessment(NamedTuple):
     wide: Subsets
     confidence: dict[str, Confidence]
     predicted: LeftOut
-    world: World
+    evidence: ModelEvidence
     check: PredictiveCheck | None
     floor: np.ndarray
     bands: tuple[RunBand, ...]
@@ -57,7 +57,7 @@ class Assessment(NamedTuple):
     def random_force_share(self) -> float:
         """The largest random force, as a share of the force that moves the vehicle; 0 where there is none: the estimate
         of one that short runs do not show says nothing."""
-        if not self.world.has_force:
+        if not self.evidence.has_force:
             return 0.0
         return float(np.max(self.linear.point.discrepancy.force / self.search.scales.force))
 
@@ -78,12 +78,8 @@ def estimates_at(search: Search, best: Optimum, values: np.ndarray, columns: Ite
     """The `values` of the parameters numbered `columns`, by name, with the errors of the optimum `best`."""
     estimates = {}
     for k in columns:
-        domain, step = search.segments.domains[k], float(best.sd[k])
-        shaped = domain.multiplicative or domain.typical is not None
-        held = k not in best.free
-        sd = None if held else step * (abs(float(values[k])) if domain.multiplicative else 1.0)
-        determined = not held and not (shaped and step > UNDETERMINED_SD)
-        estimates[search.model.names[k]] = Estimate(float(values[k]), sd, domain.unit, determined, held)
+        domain, held = search.segments.domains[k], k not in best.free
+        estimates[search.model.names[k]] = estimate_of(float(values[k]), float(best.sd[k]), domain, held)
     return estimates
 
 
@@ -102,7 +98,7 @@ def assess(
     `undecided`: laws that were not added, because these runs cannot distinguish them.
     """
     criteria, scales = search.criteria, search.scales
-    evidence = world(search, linear)
+    evidence = model_evidence(search, linear)
     # Intervals count a force that the runs do not show, as far as it was estimated; predictions do without it. A law
     # was chosen by its form: where it stands for a random force, what it leaves may be too regular to be seen as one.
     wide = expected = predicting = linear.point.discrepancy

@@ -8,7 +8,7 @@ import numpy as np
 from .evidence import largest_force
 from .left_out import LeftOut
 from .search import Linear, Search
-from .subsets import Subsets, falls, substitutes
+from .subsets import Subsets, removal_costs, substitutes
 
 SURE, LIKELY, STAND_IN, AMBIGUOUS = "sure", "likely", "stand_in", "ambiguous"
 
@@ -45,13 +45,13 @@ def confidence(
     """How sure each effect of the point of `linear` is; `laws`: those that are laws, with others that do as well;
     `has_force`: whether a random force acts beside the model."""
     effects, wide = linear.point.effects, cautious(search, linear, has_force)
-    bare_falls, wide_falls = falls(linear.subsets, effects), falls(wide, effects)
+    bare_costs, wide_costs = removal_costs(linear.subsets, effects), removal_costs(wide, effects)
     sure = {}
-    for effect, fall in bare_falls.items():
+    for effect, fall in bare_costs.items():
         law = effect in laws
         instead = (*twins(search, linear.subsets if law else wide, effects, effect), *laws.get(effect, ()))
-        predicts = predicted.gain(effects, effect).predicts
-        sure[effect] = _confidence(linear.subsets.threshold(effect), predicts, law, fall, wide_falls[effect], instead)
+        predicts = predicted.gain(effects, effect).exceeds_standard_error
+        sure[effect] = _confidence(linear.subsets.threshold(effect), predicts, law, fall, wide_costs[effect], instead)
     return sure
 
 
@@ -73,6 +73,6 @@ def twins(search: Search, problem: Subsets, effects: Iterable[str], effect: str)
     """The candidates that take the place of `effect`, the best first: chi^2 rises by less than `distinct_chi2`, and by
     less than half of what it rises by where nothing takes its place."""
     costs = substitutes(problem, effects, effect)
-    most = min(search.criteria.distinct_chi2, 0.5 * falls(problem, effects)[effect])
+    most = min(search.criteria.distinct_chi2, 0.5 * removal_costs(problem, effects)[effect])
     near = [other for other, cost in costs.items() if cost < most]
     return tuple(sorted(near, key=lambda other: costs[other] if np.isfinite(costs[other]) else np.inf))

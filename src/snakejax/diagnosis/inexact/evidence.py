@@ -1,4 +1,4 @@
-"""What the recordings say of the world: is a random force there, does noise wander, are the constants as stated?"""
+"""What the recordings say of the model: is a random force there, does noise wander, are the constants as stated?"""
 
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ FORCE_STEP, MOST_FORCE_STEPS = 1.5, 16
 that at which the search begins."""
 
 
-class World(NamedTuple):
+class ModelEvidence(NamedTuple):
     """-2 log restricted likelihood more without each: a random `force`, noise that is `wandering`, and `constants`
     other than stated (with their priors counted)."""
 
@@ -34,20 +34,20 @@ class World(NamedTuple):
         return not (self.has_force or self.wandering > self.least or self.constants > self.least)
 
 
-def world(search: Search, linear: Linear) -> World:
+def model_evidence(search: Search, linear: Linear) -> ModelEvidence:
     """The evidence at `linear`, whose discrepancy has been estimated."""
     point, free = linear.point, search.model.free(linear.point.effects)
     prior = search.prior_at(point.values)
     low, _ = search.scales.bounds()
-    still = point.discrepancy.without_force(search.scales.least_force)
-    white = point.discrepancy._replace(
+    without_force = point.discrepancy.without_force(search.scales.least_force)
+    white_noise = point.discrepancy._replace(
         white=np.hypot(point.discrepancy.white, point.discrepancy.wander), wander=np.exp(low[[2, 2, 3]])
     )
-    now = restricted_likelihood(linear.data, point.discrepancy, free, prior)
-    return World(
-        restricted_likelihood(linear.data, still, free, prior) - now,
-        restricted_likelihood(linear.data, white, free, prior) - now,
-        _gain_of_free_constants(search, linear, linear.under(still).gram),
+    deviance = restricted_likelihood(linear.data, point.discrepancy, free, prior)
+    return ModelEvidence(
+        restricted_likelihood(linear.data, without_force, free, prior) - deviance,
+        restricted_likelihood(linear.data, white_noise, free, prior) - deviance,
+        _gain_of_free_constants(search, linear, linear.under(without_force).gram),
         search.criteria.random_force_chi2,
     )
 

@@ -7,10 +7,9 @@ import numpy as np
 from snakejax.core.progress import Progress
 from snakejax.estimation.discrepancy.segments import BODY, Segments
 from snakejax.estimation.discrepancy.strength import scales_of
-from snakejax.estimation.uncertainty import Estimate
 from snakejax.recording.run import Case, Noise
 
-from ..explanation import Explanation, PoseError, Remainder, TriedCandidate
+from ..explanation import Explanation, PoseError, Remainder, TriedCandidate, vehicle_constants
 from ..residuals.dependence import general_name, residual_dependence, significant_shares
 from ..residuals.replays import replay_runs
 from ..selection.candidates import CandidateSet
@@ -18,7 +17,7 @@ from ..selection.criteria import SelectionCriteria
 from ..selection.steps import SelectionStep
 from .assessment import Assessment, assess
 from .candidate_model import candidate_model, movable_parameters
-from .evidence import world
+from .evidence import model_evidence
 from .laws import LawChoice, choose_law
 from .left_out import with_predicting_effects
 from .revision import search_effects
@@ -50,7 +49,7 @@ def assess_effects(
     search = Search(segments, priors, scales, candidate_set.criteria, progress)
     linear = with_predicting_effects(search, search_effects(search))
     choice = LawChoice()
-    if world(search, linear).has_force:
+    if model_evidence(search, linear).has_force:
         choice = choose_law(case, noise, candidate_set, search, linear, base)
     laws: dict[str, tuple[str, ...]] = {}
     if choice.law is not None:
@@ -79,7 +78,7 @@ def explanation_of(
     noise_floor = PoseError(
         float(np.hypot(assessment.floor[0], assessment.floor[1])),
         float(assessment.floor[2]),
-        "cameras and a random force" if assessment.world.has_force else "cameras",
+        "cameras and a random force" if assessment.evidence.has_force else "cameras",
     )
     share, explained_share = shares_of(steps)
     return Explanation(
@@ -97,7 +96,7 @@ def explanation_of(
         floor=noise_floor,
         remainder=_remainder(final, noise_floor, assessment.undecided_laws),
         candidates=_tried(assessment, steps),
-        constants=_constants(final),
+        constants=vehicle_constants(final),
         bands=assessment.bands,
         odd_runs=assessment.odd_runs,
         calibrated=None if final is steps[-1] else final,
@@ -130,12 +129,6 @@ def _remainder(final: SelectionStep, floor: PoseError, laws: tuple[str, ...]) ->
         shares[variable] = max(share.share, shares.get(variable, 0.0))
     left = Remainder.above(floor, judged.position_m, judged.heading_rad)
     return left._replace(depends_on=tuple(sorted(shares.items(), key=lambda pair: -pair[1])), laws=laws)
-
-
-def _constants(final: SelectionStep) -> dict[str, Estimate]:
-    return {
-        name.removeprefix("board."): estimate for name, estimate in final.estimates.items() if name.startswith("board.")
-    }
 
 
 def _tried(assessment: Assessment, steps: Sequence[SelectionStep]) -> tuple[TriedCandidate, ...]:

@@ -112,10 +112,10 @@ def choose_law(
     most = min(with_one.deviance.sum() for _, with_one in fitted) + search.criteria.distinct_chi2
     as_good = [pair for pair in fitted if pair[1].deviance.sum() < most]
     proposal, best = preferred(as_good)
-    if not Gain(before.deviance(effects) - best.deviance, 0.0).predicts:
+    if not Gain(before.deviance(effects) - best.deviance, 0.0).exceeds_standard_error:
         return LawChoice()
     rivals = tuple(one.law.expression for one, _ in as_good if one.subject != proposal.subject)
-    if rivals and not Gain(whole - best.mean_square, 0.0).predicts:
+    if rivals and not Gain(whole - best.mean_square, 0.0).exceeds_standard_error:
         return LawChoice(undecided=(proposal.law.expression, *rivals))
     return LawChoice(best._replace(rivals=rivals))
 
@@ -125,7 +125,7 @@ def preferred(fitted: Sequence[tuple[Proposal, FittedLaw]]) -> tuple[Proposal, F
     runs left out by more than the standard error."""
     first, *others = sorted(fitted, key=lambda pair: (len(pair[0].law.parameters), pair[1].deviance.sum()))
     for other in others:
-        if Gain(first[1].mean_square - other[1].mean_square, 0.0).predicts:
+        if Gain(first[1].mean_square - other[1].mean_square, 0.0).exceeds_standard_error:
             first = other
     return first
 

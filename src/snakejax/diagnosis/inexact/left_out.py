@@ -21,15 +21,15 @@ tell by how much that sum varies: runs are unlike, so that of four of them one m
 class Gain(NamedTuple):
     """What an effect is worth on data left out.
 
-    `by_part` (N,): the gain of each part, of which `predicts` takes the standard error. `share`: the fall of the
-    squared error of whole runs, of that without any effect.
+    `by_part` (N,): the gain of each part, of which `exceeds_standard_error` takes the standard error. `share`: the fall
+    of the squared error of whole runs, of that without any effect.
     """
 
     by_part: Float[np.ndarray, " N"]
     share: float
 
     @property
-    def predicts(self) -> bool:
+    def exceeds_standard_error(self) -> bool:
         """Whether the gain is above its standard error, or there is one in every part: the standard error of a few
         parts counts how unlike they are, and alone would refuse the strongest effect."""
         gained = self.by_part
@@ -40,13 +40,13 @@ class Gain(NamedTuple):
 class LeftOut(NamedTuple):
     """Runs predicted from the others, for the problem `linear`.
 
-    `judged` (R, P + 1, P + 1): the Gram matrices of whole runs without any force beside the model; `blocks`
+    `open_loop_grams` (R, P + 1, P + 1): the Gram matrices of whole runs without any force beside the model; `blocks`
     (R, B, P + 1, P + 1) and `logs` (R, B): Gram matrices and log determinants of blocks, with noise and random force;
     `present` (R, B): which of them have samples; `samples`: of all runs together.
     """
 
     linear: Linear
-    judged: np.ndarray
+    open_loop_grams: np.ndarray
     blocks: np.ndarray
     logs: np.ndarray
     present: np.ndarray
@@ -54,10 +54,10 @@ class LeftOut(NamedTuple):
 
     def error(self, effects: Iterable[str]) -> np.ndarray:
         """The squared error (R,) of each run with `effects`, in units of the noise."""
-        if len(self.judged) < 2:  # a single run judges itself
+        if len(self.open_loop_grams) < 2:  # a single run judges itself
             step = self.linear.subsets.with_effects(effects).step
-            return np.array([quadratic(gram, step) for gram in self.judged])
-        return left_out_errors(self.linear.subsets, self.linear.gram, self.judged, effects)
+            return np.array([quadratic(gram, step) for gram in self.open_loop_grams])
+        return left_out_errors(self.linear.subsets, self.linear.gram, self.open_loop_grams, effects)
 
     def mean_square(self, effects: Iterable[str]) -> Float[np.ndarray, " R"]:
         """The mean square error of each run with `effects`, in units of the noise, where it is predicted from its start
@@ -85,10 +85,6 @@ class LeftOut(NamedTuple):
             return np.array([quadratic(gram, step) for gram in self.blocks[self.present]]) + self.logs[self.present]
         return left_out_deviances(self.linear.subsets, self.blocks, self.logs, effects)[self.present]
 
-    def explained_share(self, effects: Iterable[str]) -> float:
-        """The share of the squared error that all `effects` take away."""
-        return float(1.0 - self.error(effects).sum() / self.error([]).sum())
-
     def predicting(self, effects: Iterable[str]) -> list[str]:
         """Those of `effects` with which runs left out are predicted better, each beside the others that stay.
 
@@ -97,7 +93,7 @@ class LeftOut(NamedTuple):
         kept = list(effects)
         while kept:
             gains = {effect: self.gain(kept, effect) for effect in kept}
-            idle = [effect for effect in kept if not gains[effect].predicts]
+            idle = [effect for effect in kept if not gains[effect].exceeds_standard_error]
             if not idle:
                 break
             kept.remove(min(idle, key=lambda effect: gains[effect].by_part.sum()))
@@ -115,8 +111,8 @@ def with_predicting_effects(search: Search, linear: Linear) -> Linear:
 def left_out(search: Search, linear: Linear) -> LeftOut:
     """Runs left out of the problem `linear`."""
     alone = linear.point.discrepancy.without_force(search.scales.least_force)
-    judged, _ = gram_matrices(linear.data, alone)
+    open_loop_grams, _ = gram_matrices(linear.data, alone)
     blocks, logs = block_gram_matrices(linear.data, linear.point.discrepancy, BLOCK)
     counts = linear.data.present.sum(axis=(2, 3))
     counts = np.pad(counts, [(0, 0), (0, -counts.shape[1] % BLOCK)]).reshape(*logs.shape, BLOCK).sum(axis=2)
-    return LeftOut(linear, judged, blocks, logs, counts > 0, int(linear.data.present.sum()))
+    return LeftOut(linear, open_loop_grams, blocks, logs, counts > 0, int(linear.data.present.sum()))

@@ -9,7 +9,7 @@ from snakejax.estimation.discrepancy.kalman import Discrepancy, gram_matrices
 from snakejax.estimation.discrepancy.strength import estimate_discrepancy
 
 from .search import FINE, ROUGH, Linear, Point, Search, rounds, slopeless
-from .subsets import choose, gains
+from .subsets import addition_gains, choose
 
 REVISIONS = 4
 """How often a set that was fitted to the end is chosen again, at most."""
@@ -48,7 +48,7 @@ def masked_by_force(search: Search, linear: Linear) -> list[str]:
     absent = linear.subsets.without(slopeless(search, point))
     least = _estimated(search, linear, list(absent.candidates))
     problem = linear.under(least).without(set(linear.subsets.candidates) - set(absent.candidates))
-    gained = gains(problem, effects)
+    gained = addition_gains(problem, effects)
     ranked = sorted(gained, key=lambda effect: (problem.p_value(effect, gained[effect]), -gained[effect]))
     before = _deviance(linear, point.discrepancy, effects)
     for effect in ranked[:MASKED]:

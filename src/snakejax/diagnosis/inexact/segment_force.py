@@ -103,14 +103,14 @@ def force_windows(search: Search, linear: Linear) -> ForceWindows:
         return values[rows][:, :, pick].reshape(len(rows), -1)
 
     mean = np.kron(np.eye(K), np.full((1, len(pick)), 1 / len(pick)))
-    onto = np.array([mean * (np.arange(K) < length)[:, None] for _, _, length in places])
+    knot_projection = np.array([mean * (np.arange(K) < length)[:, None] for _, _, length in places])
     ratio = segments.force_ratio(point.values)
     grams = np.array(list(_grams(linear, places, rows, grip, ratio, free, K)))
     owner = np.array([run for run, _, _ in places])
     prior = search.prior_at(point.values)
     return ForceWindows(
         *variables_of(track, arranged),
-        onto,
+        knot_projection,
         grams[:, 1:, 1:],
         grams[:, 1:, 0],
         np.bincount(owner, grams[:, 0, 0]),

@@ -15,7 +15,7 @@ from ..selection.candidates import CandidateSet
 from ..selection.steps import CandidateScore, SelectionStep
 from ..selection.working_step import judged_runs
 from .assessment import Assessment, estimates_at
-from .subsets import gains
+from .subsets import addition_gains
 
 CRAWL, MOST = 5e-2, 6
 """The fit of a step that lacks effects stops where a step of it lowers chi^2 by less than this share, and after so many
@@ -124,7 +124,7 @@ def _ranking(
 ) -> tuple[CandidateScore, ...]:
     """The absent candidates by how far each lowers chi^2 beside `effects`."""
     model, linear = assessment.search.model, assessment.linear
-    gained = gains(linear.subsets, effects)
+    gained = addition_gains(linear.subsets, effects)
     known, rows = candidate_set.problem.model.effects, []
     for effect in sorted(gained, key=lambda e: -gained[e]):
         columns = model.candidates[effect]

@@ -67,25 +67,25 @@ class Subsets(NamedTuple):
         return self.with_effects(effects).chi2 + sum(self.threshold(effect) for effect in effects)
 
 
-def falls(problem: Subsets, effects: Iterable[str]) -> dict[str, float]:
+def removal_costs(problem: Subsets, effects: Iterable[str]) -> dict[str, float]:
     """By how much chi^2 rises where each of `effects` is taken out and all else is fitted again."""
     effects = list(effects)
     full = problem.with_effects(effects).chi2
     return {e: problem.with_effects([other for other in effects if other != e]).chi2 - full for e in effects}
 
 
-def gains(problem: Subsets, effects: Iterable[str]) -> dict[str, float]:
+def addition_gains(problem: Subsets, effects: Iterable[str]) -> dict[str, float]:
     """By how much chi^2 falls where each absent candidate is added to `effects`."""
     effects = list(effects)
-    now = problem.with_effects(effects).chi2
-    return {e: now - problem.with_effects([*effects, e]).chi2 for e in problem.candidates if e not in effects}
+    chi2 = problem.with_effects(effects).chi2
+    return {e: chi2 - problem.with_effects([*effects, e]).chi2 for e in problem.candidates if e not in effects}
 
 
 def prune(problem: Subsets, effects: Iterable[str]) -> list[str]:
     """Backward elimination: the effect of least evidence is dropped until each is above its threshold."""
     effects = list(effects)
     while effects:
-        lost = falls(problem, effects)
+        lost = removal_costs(problem, effects)
         worst = max(effects, key=lambda effect: (problem.p_value(effect, lost[effect]), -lost[effect]))
         if lost[worst] >= problem.threshold(worst):
             break
@@ -97,7 +97,7 @@ def choose(problem: Subsets, start: Iterable[str]) -> list[str]:
     """`start` pruned; then the best absent candidate is added and the set pruned again, until nothing changes."""
     effects = prune(problem, start)
     for _ in range(MOST_CHANGES):
-        gained = gains(problem, effects)
+        gained = addition_gains(problem, effects)
         best = min(gained, key=lambda effect: (problem.p_value(effect, gained[effect]), -gained[effect]), default=None)
         if best is None or not gained[best] >= problem.threshold(best):
             return effects

@@ -146,7 +146,7 @@ def _refined(windows: ForceWindows, trial: _Trial, given: Sequence[np.ndarray]) 
     if not S:
         return trial
     low, high = (np.array([getattr(part, side) for part in family.shape]) for side in ("low", "high"))
-    T, P = len(family.terms), len(windows.pull)
+    T, P = len(family.terms), len(windows.prior_mean)
     for _ in range(ROUNDS):
         reach = 1e-4 * np.maximum(np.abs(trial.shape), 1e-3)
         grid = np.concatenate([trial.shape[None], trial.shape + np.diag(reach)])
@@ -155,7 +155,7 @@ def _refined(windows: ForceWindows, trial: _Trial, given: Sequence[np.ndarray]) 
         matrix, right = windows.normal(np.concatenate([near[:1], slopes[None], *given], axis=1))
         A, b = matrix.sum(axis=0)[0], right.sum(axis=0)[0]
         A[range(P), range(P)] += windows.precision
-        b[:P] += windows.precision * windows.pull
+        b[:P] += windows.precision * windows.prior_mean
         now = np.concatenate([trial.steps, trial.amplitudes, np.zeros(len(b) - P - T)])
         size = np.sqrt(np.maximum(np.diag(A), 1e-30))
         scaled = A / np.outer(size, size)

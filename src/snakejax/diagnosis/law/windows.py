@@ -43,45 +43,45 @@ class Fitted(NamedTuple):
 
 class ForceWindows(NamedTuple):
     """W windows at n samples with K knots: `variables` (2, W, n) for the wheels ahead of the middle and behind it;
-    `onto` (W, K, n), the least squares onto the knots; per window the normal equations `matrix` (W, P + 5K, P + 5K),
-    `right` of parameters, force knots and grip knots; `square` (R,); `owner` (W,): the run; `pull` and `precision` (P,)
-    of the parameters; `theta` (W, n). `beside`: the parameters beside a law are those of all runs, and only the law is
-    fitted anew where a run is left out."""
+    `knot_projection` (W, K, n), the least squares onto the knots; per window the normal equations `matrix`
+    (W, P + 5K, P + 5K), `right` of parameters, force knots and grip knots; `square` (R,); `owner` (W,): the run;
+    `prior_mean` and `precision` (P,) of the parameters; `theta` (W, n). `beside`: the parameters beside a law are those
+    of all runs, and only the law is fitted anew where a run is left out."""
 
     variables: dict[str, np.ndarray]
     wheel: tuple[str, ...]
-    onto: np.ndarray
+    knot_projection: np.ndarray
     matrix: np.ndarray
     right: np.ndarray
     square: np.ndarray
     owner: np.ndarray
-    pull: np.ndarray
+    prior_mean: np.ndarray
     precision: np.ndarray
     theta: np.ndarray
     samples: int
     beside: bool = False
 
     @staticmethod
-    def of(drive: ForceEstimator, now: ForceSolution) -> "ForceWindows":
-        """The windows of `drive` at `now`."""
-        track, K = now.linearised.track, drive.knots
+    def of(estimator: ForceEstimator, solution: ForceSolution) -> "ForceWindows":
+        """The windows of `estimator` at `solution`."""
+        track, K = solution.linearised.track, estimator.knots
         spacing = float(np.median(np.diff(track.time[0])))
         pick = slice(None, None, max(1, int(FINEST / spacing + 1e-6)))
-        onto, matrix, right, square = [], [], [], np.zeros(len(drive.runs))
-        for k, window in enumerate(now.windows):
-            first = drive.began[drive.owner[k]] + SPACING * drive.first[k]
+        knot_projection, matrix, right, square = [], [], [], np.zeros(len(estimator.runs))
+        for k, window in enumerate(solution.windows):
+            first = estimator.began[estimator.owner[k]] + SPACING * estimator.first[k]
             hats = np.maximum(1 - np.abs((track.time[k][pick, None] - first) / SPACING - np.arange(K)), 0.0)
             # One that no sample touches stays at zero.
-            onto.append(np.linalg.solve(hats.T @ hats + 1e-6 * np.eye(K), hats.T))
+            knot_projection.append(np.linalg.solve(hats.T @ hats + 1e-6 * np.eye(K), hats.T))
             H = np.concatenate([window.parameters, window.force, window.grip], axis=1)
             matrix.append(H.T @ H)
             right.append(H.T @ window.data)
-            square[drive.owner[k]] += float(window.data @ window.data)
+            square[estimator.owner[k]] += float(window.data @ window.data)
         variables, wheel = variables_of(track, lambda values: values[:, pick])
-        pull, precision = drive.typical(now.point.values)
-        count = int((np.asarray(drive.batch.weight) > 0).sum() - np.asarray(drive.batch.free_start).sum())
-        whole = (np.array(onto), np.array(matrix), np.array(right), square, np.asarray(drive.owner))
-        return ForceWindows(variables, wheel, *whole, pull, precision, track.theta[:, pick], count)
+        prior_mean, precision = estimator.typical(solution.point.values)
+        count = int((np.asarray(estimator.batch.weight) > 0).sum() - np.asarray(estimator.batch.free_start).sum())
+        whole = (np.array(knot_projection), np.array(matrix), np.array(right), square, np.asarray(estimator.owner))
+        return ForceWindows(variables, wheel, *whole, prior_mean, precision, track.theta[:, pick], count)
 
     def ranges(self) -> dict[str, Range]:
         """What was seen of each variable that varies."""
@@ -92,7 +92,7 @@ class ForceWindows(NamedTuple):
         """The knots (G, T, W, 5K) of each term at G values of the `shape`: force knot by knot, then grip."""
         G = max((len(values) for values in shape.values()), default=1)
         wide = {name: np.asarray(values)[:, None, None] for name, values in shape.items()}
-        W, K, n = self.onto.shape
+        W, K, n = self.knot_projection.shape
         c, s = np.cos(self.theta), np.sin(self.theta)
         knots = np.zeros((G, len(family.terms), W, 5 * K))
         for t, term in enumerate(family.terms):
@@ -116,11 +116,11 @@ class ForceWindows(NamedTuple):
 
     def _knots(self, values: np.ndarray) -> np.ndarray:
         """The knots (G, W, K) of a history that has the `values` (G, W, n) at the samples."""
-        return (values.swapaxes(0, 1) @ self.onto.swapaxes(1, 2)).swapaxes(0, 1)
+        return (values.swapaxes(0, 1) @ self.knot_projection.swapaxes(1, 2)).swapaxes(0, 1)
 
     def normal(self, histories: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The normal equations (R, G, P + T, P + T) and (R, G, P + T) of parameters and amplitudes, run by run."""
-        P, (G, T, W, _), R = len(self.pull), histories.shape, len(self.square)
+        P, (G, T, W, _), R = len(self.prior_mean), histories.shape, len(self.square)
         full, onto_full = np.zeros((R, G, P + T, P + T)), np.zeros((R, G, P + T))
         h = histories.transpose(2, 3, 0, 1).reshape(W, histories.shape[-1], G * T)
         crossed = (self.matrix[:, :, P:] @ h).reshape(W, self.matrix.shape[1], G, T)
@@ -139,7 +139,7 @@ class ForceWindows(NamedTuple):
 
     def fitted(self, histories: np.ndarray) -> Fitted:
         """The regressions on G sets of `histories`."""
-        P = len(self.pull)
+        P = len(self.prior_mean)
         matrix, right = self.normal(histories)
         total, slope = matrix.sum(axis=0), right.sum(axis=0)
         c = self._solved(total, slope, total)
@@ -155,11 +155,11 @@ class ForceWindows(NamedTuple):
 
     def _solved(self, matrix: np.ndarray, right: np.ndarray, total: np.ndarray) -> np.ndarray:
         """Parameter steps and amplitudes (G, P + T), with a light ridge on the latter."""
-        P = len(self.pull)
+        P = len(self.prior_mean)
         ridge = 1e-6 * np.einsum("gii->gi", total) + 1e-12
         ridge[:, :P] = self.precision
         full = right.copy()
-        full[:, :P] += self.precision * self.pull
+        full[:, :P] += self.precision * self.prior_mean
         A = matrix + np.einsum("gi,ij->gij", ridge, np.eye(ridge.shape[1]))
         size = np.sqrt(np.einsum("gii->gi", A))
         scaled = A / (size[:, :, None] * size[:, None, :]) + 1e-12 * np.eye(A.shape[1])

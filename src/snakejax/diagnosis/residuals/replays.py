@@ -75,12 +75,12 @@ class RunReplay(NamedTuple):
 def replay_runs(fitted: FittedModel) -> tuple[RunReplay, ...]:
     """Every recording of `fitted` from its fitted start, train runs first."""
     stacked, sd = batch(fitted.recordings, fitted.noise), np.asarray(fitted.noise.channels)
-    scenes = []
+    replays = []
     for k in (*fitted.numbered("train"), *fitted.numbered("heldout")):
         one = jax.tree.map(lambda leaf, k=k: leaf[k], stacked)
-        played = _played(fitted.model, one, fitted.starts[k], fitted.accuracy)
-        scenes.append(_dressed(fitted.recordings[k], played, fitted.residuals[k], sd, fitted.model.board))
-    return tuple(scenes)
+        simulated = _simulated(fitted.model, one, fitted.starts[k], fitted.accuracy)
+        replays.append(_replay_of(fitted.recordings[k], simulated, fitted.residuals[k], sd, fitted.model.board))
+    return tuple(replays)
 
 
 def replay_fit(fit: Fit) -> tuple[RunReplay, ...]:
@@ -91,17 +91,17 @@ def replay_fit(fit: Fit) -> tuple[RunReplay, ...]:
 def replay_model(model: Model, runs: Sequence[Run], starts: Float[np.ndarray, "R S"]) -> tuple[RunReplay, ...]:
     """Every one of `runs` as `model` plays it from its start; residuals in m and rad, NaN where nothing was seen."""
     block = batch_of_runs(runs, starts)
-    made = []
+    replays = []
     for k, (run, start) in enumerate(zip(runs, np.asarray(starts, float), strict=True)):
-        played = _played(model, jax.tree.map(lambda leaf, k=k: leaf[k], block), start, ACCURACY)
-        residual = np.asarray(run.pose) - np.asarray(played[2])[: run.times.shape[0]]
-        made.append(_dressed(run, played, residual, np.ones(3), model.board))
-    return tuple(made)
+        simulated = _simulated(model, jax.tree.map(lambda leaf, k=k: leaf[k], block), start, ACCURACY)
+        residual = np.asarray(run.pose) - np.asarray(simulated[2])[: run.times.shape[0]]
+        replays.append(_replay_of(run, simulated, residual, np.ones(3), model.board))
+    return tuple(replays)
 
 
-def _dressed(run: Run, played: Any, residual: np.ndarray, sd: np.ndarray, board: AbstractVehicle) -> RunReplay:
+def _replay_of(run: Run, simulated: Any, residual: np.ndarray, sd: np.ndarray, board: AbstractVehicle) -> RunReplay:
     n = run.times.shape[0]
-    motion, force, pose, states = jax.tree.map(lambda leaf: np.asarray(leaf)[:n], played)
+    motion, force, pose, states = jax.tree.map(lambda leaf: np.asarray(leaf)[:n], simulated)
     track = ResidualSeries(run.name, run.role, np.asarray(run.times), residual, sd, _named(motion, board))
     wheels, joints = motion.wheels, {name: joint.angle for name, joint in motion.inputs.items()}
     speed = np.stack([wheel.lateral for wheel in wheels], axis=1)
@@ -133,7 +133,7 @@ def _placed(
 
 
 @eqx.filter_jit
-def _played(model, batch, start, accuracy):
+def _simulated(model, batch, start, accuracy):
     model = model.in_run(batch.payload, batch.codes)
     done = simulate(model, batch.gait, batch.times, start, accuracy=accuracy, resting=batch.resting)
     motion, force = motions(model, batch.gait, done)

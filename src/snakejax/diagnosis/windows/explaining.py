@@ -18,14 +18,14 @@ from snakejax.estimation.window_fit import WindowPoint, scale_of
 from snakejax.recording.run import Case, Noise
 
 from ..diagnosing import Diagnosis, DiagnosisOptions, start_of
-from ..explanation import Explanation, PoseError, Remainder, TriedCandidate
+from ..explanation import Explanation, PoseError, Remainder, TriedCandidate, vehicle_constants
 from ..inexact.candidate_model import candidate_model, movable_parameters
 from ..inexact.confidence import AMBIGUOUS, LIKELY, SURE
 from ..inexact.explaining import shares_of_errors
 from ..selection.candidates import BaseFit, CandidateSet, structures
 from ..selection.criteria import SelectionCriteria
 from ..selection.steps import SWITCH_DESCRIPTION, CandidateScore, SelectionStep
-from .own_motion import own_floor
+from .repeatability import repeatability_floor
 from .search import Candidate, SearchState, WindowSearch, first_state, further_states, left_out_gain, twins
 from .steps import step_of
 
@@ -76,10 +76,10 @@ def _path(question: WindowQuestion) -> tuple[list[tuple[int, SearchState]], bool
     if len(question.sets) == 1:
         return [(0, base), *((0, state) for state in further_states(question.searches[0], base))], False
     relaxed = question.first(1)
-    at_once = left_out_gain(base.linear, relaxed.linear).predicts
+    at_once = left_out_gain(base.linear, relaxed.linear).exceeds_standard_error
     others = [relaxed, *further_states(question.searches[1], relaxed)]
     own = [base] if at_once else [base, *further_states(question.searches[0], base)]
-    if at_once or left_out_gain(own[-1].linear, others[-1].linear).predicts:
+    if at_once or left_out_gain(own[-1].linear, others[-1].linear).exceeds_standard_error:
         return [(0, base), *((1, state) for state in others)], True
     return [(0, state) for state in own], False
 
@@ -129,7 +129,7 @@ def diagnose_windows(
     if len(window_question.sets) > 1:
         relaxed = window_question.first(1)
         gain = left_out_gain(base.linear, relaxed.linear)
-        step = _beside_structure(step, window_question.step(1, relaxed), gain.predicts)
+        step = _beside_structure(step, window_question.step(1, relaxed), gain.exceeds_standard_error)
     return Diagnosis(case, noise, step)
 
 
@@ -189,7 +189,7 @@ def _explanation(
     search, last = path[-1]
     final, criteria = steps[-1], search.criteria
     others = {effect: twins(search, last, effect) for effect in last.effects}
-    floor = own_floor(case.having("train"), np.asarray(noise.channels))
+    floor = repeatability_floor(case.having("train"), np.asarray(noise.channels))
     remainder = _remainder(final, floor)
     near = floor is not None and remainder is not None and _near(remainder, floor)
     near = near or _only_noise(final, len(search.model.free(last.effects)))
@@ -202,7 +202,6 @@ def _explanation(
     }
     if LATERAL_SLIP_SWITCH in effects:
         confidence[LATERAL_SLIP_SWITCH] = SURE
-    known = {name.removeprefix("board."): e for name, e in final.estimates.items() if name.startswith("board.")}
     return Explanation(
         case,
         noise,
@@ -218,7 +217,7 @@ def _explanation(
         floor=floor,
         remainder=remainder,
         candidates=tuple(row for k in range(len(path)) for row in _tried(path, k, others)),
-        constants=known,
+        constants=vehicle_constants(final),
         of_windows=True,
     )
 
@@ -306,7 +305,7 @@ def _why(one: Candidate, taken: bool, later: bool, criteria: SelectionCriteria) 
         return "taken in a later step"
     if one.at_bound:
         return "refused: it ends on a bound of its domain"
-    if not one.gain.predicts:
+    if not one.gain.exceeds_standard_error:
         return "refused: it improves the prediction of omitted recordings by less than the standard error"
     if one.gain.share < criteria.least_excess_share:
         return f"refused: the improvement is too small, {gained}"

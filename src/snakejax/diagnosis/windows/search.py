@@ -58,27 +58,27 @@ class Candidate(NamedTuple):
         """Whether recordings left out are predicted better by enough to matter, with parameters on which the recordings
         agree."""
         agreed = self.p_value < criteria.agreement_level and not self.at_bound
-        return agreed and self.gain.predicts and self.gain.share >= criteria.least_excess_share
+        return agreed and self.gain.exceeds_standard_error and self.gain.share >= criteria.least_excess_share
 
 
 class WindowProblem(NamedTuple):
-    """The linear problem at a `point` with `effects`: `subsets`, and the Gram matrices `gram` (F, P + 1, P + 1) of the
-    recordings, weighted; the mean squares of the windows at the point, and by recording the Gram matrices of `each`
-    window per sample, without weights."""
+    """The linear problem at a `point` with `effects`: `subsets`, and the Gram matrices `recording_grams`
+    (F, P + 1, P + 1) of the recordings, weighted; the mean squares of the windows at the point, and by recording the
+    Gram matrices `window_grams` of each window per sample, without weights."""
 
     point: WindowPoint
     effects: tuple[str, ...]
     subsets: Subsets
-    gram: Float[np.ndarray, "F P1 P1"]
+    recording_grams: Float[np.ndarray, "F P1 P1"]
     mean_square: Float[np.ndarray, " W"]
-    each: tuple[Float[np.ndarray, "w P1 P1"], ...]
+    window_grams: tuple[Float[np.ndarray, "w P1 P1"], ...]
 
     def error(self, effects: Iterable[str], scale: float | None = None) -> Float[np.ndarray, " F"]:
         """The robust error (F,) of each recording under parameters from the others, in windows as far off as `scale`
         (default: that of the point): the sum of ln(1 + c_w / s^2)."""
         effects, scale = list(effects), scale_of(self.mean_square) if scale is None else scale
         errors = []
-        for windows, whole in zip(self.each, self.gram, strict=True):
+        for windows, whole in zip(self.window_grams, self.recording_grams, strict=True):
             weights = np.concatenate([[1.0], -self.subsets.with_effects(effects, self.subsets.gram - whole).step])
             square = np.maximum(np.einsum("i,wij,j->w", weights, windows, weights), 0.0)
             errors.append(np.log1p(square / scale).sum())
@@ -88,9 +88,10 @@ class WindowProblem(NamedTuple):
         """The optimum with `effects`, and the covariance (k, k) of its steps of the parameters numbered `columns` by
         the jackknife over the recordings (Efron and Stein 1981)."""
         effects, rows = list(effects), list(columns)
-        others = np.array([self.subsets.with_effects(effects, self.subsets.gram - g).step[rows] for g in self.gram])
-        off, F = others - others.mean(axis=0), len(self.gram)
-        return self.subsets.with_effects(effects), (F - 1) / F * off.T @ off
+        subsets, grams = self.subsets, self.recording_grams
+        others = np.array([subsets.with_effects(effects, subsets.gram - gram).step[rows] for gram in grams])
+        off, F = others - others.mean(axis=0), len(grams)
+        return subsets.with_effects(effects), (F - 1) / F * off.T @ off
 
 
 class WindowSearch(NamedTuple):
@@ -152,7 +153,7 @@ class WindowSearch(NamedTuple):
         joined = np.concatenate([residual[..., None], -by_values], axis=-1) * np.sqrt(weight)[:, None, None]
         each = joined.transpose(0, 2, 1) @ joined
         numbers = np.unique(self.recording)
-        gram = np.array([each[self.recording == number].sum(axis=0) for number in numbers])
+        recording_grams = np.array([each[self.recording == number].sum(axis=0) for number in numbers])
         bare = each / (weight * columns.samples)[:, None, None]
         domains = prior.domains(self.problem, names).values()
         values = [point.values[name] for name in names]
@@ -161,7 +162,7 @@ class WindowSearch(NamedTuple):
         mean = [prior.mean[n] - d.step_to(v) for n, d, v in zip(names, domains, values, strict=True)]
         precision = 1.0 / np.array([prior.sd[name] for name in names]) ** 2
         subsets = Subsets(
-            gram.sum(axis=0),
+            recording_grams.sum(axis=0),
             self.model.always,
             self.model.candidates,
             Prior(np.array(mean), precision),
@@ -169,8 +170,8 @@ class WindowSearch(NamedTuple):
             high,
             self.criteria,
         )
-        by_recording = tuple(bare[self.recording == number] for number in numbers)
-        return WindowProblem(point, tuple(effects), subsets, gram, columns.mean_square, by_recording)
+        window_grams = tuple(bare[self.recording == number] for number in numbers)
+        return WindowProblem(point, tuple(effects), subsets, recording_grams, columns.mean_square, window_grams)
 
     def candidate(self, linear: WindowProblem, effect: str) -> Candidate:
         """`effect` beside the other effects of `linear`, whether it is in the model or not."""
@@ -189,7 +190,7 @@ class WindowSearch(NamedTuple):
         )
         # The step from the neutral value, for which the prior has its mean.
         away = step - linear.subsets.prior.mean[columns]
-        p_value = _p_value(away, covariance, len(linear.gram))
+        p_value = _p_value(away, covariance, len(linear.recording_grams))
         return Candidate(effect, gain, p_value, moved, larger_sd(optimum, covariance, columns), at_bound)
 
     def _moved(self, point: WindowPoint, columns: Sequence[int], step: np.ndarray) -> tuple[float, ...]:

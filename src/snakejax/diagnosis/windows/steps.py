@@ -7,7 +7,7 @@ from scipy import stats
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.dynamics.ports import Delay, Sensor
 from snakejax.estimation.fitted_model import fitted_model
-from snakejax.estimation.uncertainty import UNDETERMINED_SD, Estimate
+from snakejax.estimation.uncertainty import Estimate, estimate_of
 
 from ..selection.candidates import CandidateSet
 from ..selection.steps import CandidateScore, SelectionStep
@@ -63,11 +63,7 @@ def estimates_of_state(search: WindowSearch, state: SearchState) -> dict[str, Es
     domains = search.prior.domains(search.problem, [model.names[k] for k in free])
     estimates = {}
     for k, (name, domain), step in zip(free, domains.items(), map(float, sds), strict=True):
-        value = linear.point.values[name]
-        shaped = domain.multiplicative or domain.typical is not None
-        held = k not in optimum.free
-        sd = None if held else step * (abs(value) if domain.multiplicative else 1.0)
-        estimates[name] = Estimate(value, sd, domain.unit, not held and not (shaped and step > UNDETERMINED_SD), held)
+        estimates[name] = estimate_of(linear.point.values[name], step, domain, k not in optimum.free)
     return estimates
 
 
@@ -78,7 +74,7 @@ def _ranking(search: WindowSearch, state: SearchState, misfit: float) -> tuple[C
     family = len(model.candidates)
     without = state.linear.subsets.with_effects(state.effects).chi2
     # With fewer recordings a larger value is needed for the same level.
-    reach = float(stats.t.isf(search.criteria.significance_level / 2, max(len(state.linear.gram) - 1, 1)))
+    reach = float(stats.t.isf(search.criteria.significance_level / 2, max(len(state.linear.recording_grams) - 1, 1)))
     for one in state.candidates:
         columns = model.candidates[one.effect]
         names = [model.names[k] for k in columns]

@@ -63,7 +63,7 @@ def design_json(tuned: TuningResult, objective: str, known: float | None, reache
     return {name: part for name, part in result.items() if name not in ("met", "spread", "over")}
 
 
-def separation_json(design: DiscriminationDesign, objective: str) -> dict[str, Any]:
+def discrimination_json(design: DiscriminationDesign, objective: str) -> dict[str, Any]:
     """A run designed to distinguish two effects, as JSON."""
     return {
         **design_json(design.tuned, objective, design.known, design.after),
@@ -80,7 +80,7 @@ def separation_json(design: DiscriminationDesign, objective: str) -> dict[str, A
     }
 
 
-def sharpening_json(design: PrecisionDesign, objective: str) -> dict[str, Any]:
+def precision_json(design: PrecisionDesign, objective: str) -> dict[str, Any]:
     """A run designed to determine the tyre parameters, as JSON.
 
     The objective is the geometric mean of the ratios of the standard errors before and after.

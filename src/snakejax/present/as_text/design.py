@@ -29,7 +29,7 @@ def report(name: str, objective: str, tuned: TuningResult, over: str, with_paylo
     add_row(table, "tuned", *_results(objective, tuned.after.result).values())
     lines += [Text(), indented(table)]
     if tuned.spread:
-        lines.append(Text(f"over samples of the fit: {_spread(objective, tuned.spread)}"))
+        lines.append(Text(f"over samples of the fit: {_spread(tuned.spread)}"))
     lines += [gait_table(tuned), Text(limits_line(tuned))]
     if not tuned.met:
         lines.append(Text("! No gait reaches the target: allow more time or wider limits.", style="yellow"))
@@ -61,7 +61,7 @@ def _results(objective: str, result: Any) -> dict[str, str]:
     return {UNITS.get(objective, ("cost", 1.0))[0]: f"{result:.4f}"}
 
 
-def _spread(objective: str, spread: list[Any]) -> str:
+def _spread(spread: list[Any]) -> str:
     if isinstance(spread[0], dict):
         return f"missed by up to {missed_text({key: max(result[key] for result in spread) for key in POSE_ERRORS})}"
     return f"mean {np.mean(spread):.4f}, from {min(spread):.4f} to {max(spread):.4f}"
@@ -82,7 +82,7 @@ def limits_line(tuned: TuningResult) -> str:
     return "largest of command and joint: " + ", ".join(parts)
 
 
-def separation_report(name: str, design: DiscriminationDesign, with_payload: str = "") -> Any:
+def discrimination_report(name: str, design: DiscriminationDesign, with_payload: str = "") -> Any:
     """The report of a run designed to distinguish two effects."""
     one, other = design.effects
     strong = ", ".join(f"{n.removeprefix('effects.')} = {v:.3g}" for n, v in design.strengths.items())
@@ -118,7 +118,7 @@ def separation_report(name: str, design: DiscriminationDesign, with_payload: str
     )
 
 
-def sharpening_report(name: str, design: PrecisionDesign, with_payload: str = "") -> Any:
+def precision_report(name: str, design: PrecisionDesign, with_payload: str = "") -> Any:
     """The report of a run designed to determine the tyre parameters."""
     table = plain_table("parameter", "+- before", "+- with the run", right=("+- before", "+- with the run"))
     for parameter, sd in design.before.items():

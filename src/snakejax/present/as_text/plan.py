@@ -3,7 +3,7 @@
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from snakejax.core.tabular import listed
+from snakejax.core.tabular import first_few, listed
 from snakejax.diagnosis.plan import Plan
 
 from .tables import add_row, plain_table
@@ -17,11 +17,12 @@ def plan_text(plan: Plan) -> RenderableType:
     first, *others = plan.structures
     then = f", then {listed(others)}" if others else ""
     free = listed(plan.free) if plan.free else "no parameter"
+    heldout = first_few(plan.heldout, MOST_NAMES) or "none"
     lines: list[RenderableType] = [
         Text(f"{plan.case}: nothing is fitted."),
         Text(f"An explanation would fit {free} under {first}{then}"),
-        Text(f"to {len(plan.train)} train runs ({_some(plan.train)})"),
-        Text(f"and validate the result on {len(plan.heldout)} held-out runs ({_some(plan.heldout) or 'none'})."),
+        Text(f"to {len(plan.train)} train runs ({first_few(plan.train, MOST_NAMES)})"),
+        Text(f"and validate the result on {len(plan.heldout)} held-out runs ({heldout})."),
         Text(""),
     ]
     table = plain_table("candidate", "parameters")
@@ -30,8 +31,3 @@ def plan_text(plan: Plan) -> RenderableType:
     lines.append(table)
     lines += [Text(f"Excluded: {name}: {why.rstrip('.')}.") for name, why in plan.left_out.items()]
     return Group(*lines)
-
-
-def _some(names: tuple[str, ...]) -> str:
-    more = len(names) - MOST_NAMES
-    return ", ".join(names[:MOST_NAMES]) + (f" and {more} more" if more > 0 else "")

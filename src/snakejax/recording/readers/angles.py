@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from .rotations import from_euler, from_rotation_vector
+from .rotations import from_euler, from_rotation_vector, heading_of
 
 HELICAL = "helical"
 EULER = {"xyz": "Euler angles about the fixed axes x, y, z", "XYZ": "Euler angles about the turning axes X, Y, Z"}
@@ -56,7 +56,7 @@ def reading_of(values: Float[np.ndarray, "n 3"]) -> Reading:
     if not len(some):
         return Reading(HELICAL, f"{VECTOR}, the default of Tracker: the body was never tracked")
     read = {angles: rotation_by(angles, some) for angles in ANGLES}
-    headings = [_heading(read[angles]) for angles in (HELICAL, "xyz")]
+    headings = [heading_of(read[angles], np.eye(3)) for angles in (HELICAL, "xyz")]
     if np.abs(_wrapped(headings[0] - headings[1])).max() < SAME:
         return Reading("xyz", f"{VECTOR} or Euler angles, the heading is the same")
     off = {angles: _off(rotation) for angles, rotation in read.items()}
@@ -103,11 +103,6 @@ def _off(rotation: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, " n"]:
 
 def _root_mean_square(values: Float[np.ndarray, " n"]) -> float:
     return float(np.sqrt((values**2).mean())) if values.size else math.inf
-
-
-def _heading(rotation: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, " n"]:
-    x, y, z, w = rotation.T
-    return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2))
 
 
 def _wrapped(angle: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

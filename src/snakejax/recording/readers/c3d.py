@@ -14,7 +14,7 @@ from snakejax.core.errors import InputError
 
 from .capture import LENGTH, Capture, Source, repeated
 from .cells import shown
-from .subprocess_reader import read_apart
+from .subprocess_reader import read_in_subprocess
 from .upward import AXES, Upward, side_of, upward
 
 MAGIC = 0x50
@@ -41,7 +41,7 @@ def recognises(source: Source) -> bool:
 def read(source: Source) -> Capture:
     """All markers. **Raises:** `InputError`."""
     path = source.path
-    facts, arrays = read_apart("c3d", path, "ezc3d", REMEDY)
+    facts, arrays = read_in_subprocess("c3d", path, "ezc3d", REMEDY)
     if (unit := facts["units"]) not in LENGTH:
         what = f'Unknown unit "{shown(unit)}" of its points'
         raise InputError(what, str(path), f"export it with POINT:UNITS {' or '.join(LENGTH)}")

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from snakejax.core.errors import InputError, instead_of
+from snakejax.core.tabular import first_few
 
 from .assumed import SI, unit_of_angle, unit_of_length, unit_of_time
 from .capture import ANGLE, LENGTH, TIME, Body, Capture, FileAnnotations, Source, lost_together
@@ -115,9 +116,10 @@ def _mapped(
             raise InputError(f'Unknown key "{shown(role)}" in columns', where, instead_of(role, ROLES))
         i, quantity = _index(names, role, name, where), QUANTITY.get(role)
         words = named(names[i]) if i >= 0 else None
-        own = words.unit if words and words.unit in UNITS.get(quantity or "", ()) else ""
-        own = own or _ending(names[i], quantity) if i >= 0 else ""
-        unit = (unit_hints.get(quantity or "") or (units[i] if 0 <= i < len(units) else "") or own) if quantity else ""
+        unit_in_name = words.unit if words and words.unit in UNITS.get(quantity or "", ()) else ""
+        unit_in_name = unit_in_name or _ending(names[i], quantity) if i >= 0 else ""
+        stated = units[i] if 0 <= i < len(units) else ""
+        unit = (unit_hints.get(quantity or "") or stated or unit_in_name) if quantity else ""
         if unit and _factor(unit, quantity) is None:
             known = " or ".join(UNITS[quantity or "length"])
             raise InputError(f'Unknown unit "{shown(unit)}" of column {shown(name)}', where, f"write {known} in units")
@@ -182,16 +184,16 @@ def capture_of(
     **Raises:** `InputError` where a row has no time, a quaternion is none, or a unit is missing that cannot be SI.
     """
     n = next((len(column) for index, column in values.items() if index != COUNTED), 0)
-    held = {**values, COUNTED: np.arange(n, dtype=float)}
+    by_index = {**values, COUNTED: np.arange(n, dtype=float)}
     clock = next(c for c in columns if c.role == "time")
-    if (blank := np.flatnonzero(~np.isfinite(held[clock.column_index]))).size:
+    if (blank := np.flatnonzero(~np.isfinite(by_index[clock.column_index]))).size:
         raise InputError(f"The time in row {int(blank[0]) + 1} of the data is blank", where, "fill or remove the row")
-    columns, assumed = _with_units(columns, held, where)
-    times, columns = _times(columns, held)
+    columns, assumed = _with_units(columns, by_index, where)
+    times, columns = _times(columns, by_index)
     by_object: dict[str, dict[str, Float[np.ndarray, " n"]]] = {}
     for c in columns:
         if c.role not in ("time", FRACTION, "object"):
-            by_object.setdefault(c.object, {})[c.role] = held[c.column_index] * (_factor(c.unit, c.quantity) or 1.0)
+            by_object.setdefault(c.object, {})[c.role] = by_index[c.column_index] * (_factor(c.unit, c.quantity) or 1.0)
     bodies: dict[str, Body] = {}
     markers: dict[str, np.ndarray] = {}
     if labels is not None:
@@ -274,8 +276,12 @@ def _with_units(
     for c in unstated:
         if c.role == "heading":
             assumed[c] = unit_of_angle(values[c.column_index], times, where)
-    taken = {quantity: dict.fromkeys(unit for c, unit in assumed.items() if c.quantity == quantity) for quantity in SI}
-    phrases = [f"the {PLURAL[quantity]} (read in {' and '.join(units)})" for quantity, units in taken.items() if units]
+    assumed_units = {
+        quantity: dict.fromkeys(unit for c, unit in assumed.items() if c.quantity == quantity) for quantity in SI
+    }
+    phrases = [
+        f"the {PLURAL[quantity]} (read in {' and '.join(units)})" for quantity, units in assumed_units.items() if units
+    ]
     note = f"no unit is stated for {', '.join(phrases)}; --units changes this"
     return [c._replace(unit=assumed.get(c, c.unit)) for c in columns], [note]
 
@@ -283,8 +289,7 @@ def _with_units(
 def _unused(names: Sequence[str], columns: Sequence[Column]) -> list[str]:
     used = {c.column_index for c in columns}
     left = [shown(name or str(i + 1), 30) for i, name in enumerate(names) if i not in used]
-    more = f" and {len(left) - MOST_LISTED} more" if len(left) > MOST_LISTED else ""
-    return [f"columns that are not used: {', '.join(left[:MOST_LISTED])}{more}"] if left else []
+    return [f"columns that are not used: {first_few(left, MOST_LISTED)}"] if left else []
 
 
 def _stacked(parts: Mapping[str, Float[np.ndarray, " n"]], roles: Sequence[str], n: int) -> Float[np.ndarray, "n k"]:

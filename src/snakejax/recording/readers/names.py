@@ -29,7 +29,7 @@ CLOCKS = tuple(
 """Words that by themselves name a clock: ROS writes a time as header.stamp.sec and header.stamp.nanosec."""
 HEADINGS = ("heading", "yaw", "theta")
 TIMES = ("time", "t", "timestamp", "timestamps", "stamp", "times")
-PLACES = (
+POSITION_WORDS = (
     "p",
     "pos",
     "position",
@@ -42,10 +42,23 @@ PLACES = (
     "point",
     "place",
 )
-TURNS = ("orientation", "quaternion", "quat", "rotation", "rot", "q", "ori", "attitude")
-CARRIERS = ("pose", "field", "header", "data", "transform", "global", "world", "elapsed", "ros", "unix", "epoch", "sim")
+ROTATION_WORDS = ("orientation", "quaternion", "quat", "rotation", "rot", "q", "ori", "attitude")
+NEUTRAL_WORDS = (
+    "pose",
+    "field",
+    "header",
+    "data",
+    "transform",
+    "global",
+    "world",
+    "elapsed",
+    "ros",
+    "unix",
+    "epoch",
+    "sim",
+)
 """Words that say nothing of which object a column is of."""
-OTHERS = (
+EXCLUDED_WORDS = (
     *(
         "vel",
         "velocity",
@@ -121,7 +134,7 @@ def named(name: str) -> Named | None:
     words = [word for word in _SPLIT.split(text) if word]
     if not words:
         return None
-    if words[-1].lower() in CLOCKS and all(word.lower() in (*CARRIERS, *TIMES) for word in words[:-1]):
+    if words[-1].lower() in CLOCKS and all(word.lower() in (*NEUTRAL_WORDS, *TIMES) for word in words[:-1]):
         return Named("", "time", False, UNIT_OF[words[-1].lower()])
     if (role := _role(words[-1])) is not None:
         return _of(text[: text.rindex(words[-1])], role, unit)
@@ -145,7 +158,7 @@ def _role(word: str) -> str | None:
         return f"place {word[1]}"
     if len(word) == 2 and word[0] == "q" and word[1] in (*AXES, "w"):
         return word
-    if (match := re.fullmatch(rf"(?P<kind>{'|'.join(PLACES)})(?P<axis>[xyz])", word)) is not None:
+    if (match := re.fullmatch(rf"(?P<kind>{'|'.join(POSITION_WORDS)})(?P<axis>[xyz])", word)) is not None:
         return f"place {match['axis']}"
     return None
 
@@ -155,15 +168,15 @@ def _of(rest: str, role: str, unit: str) -> Named | None:
     place, turn, role = role.startswith("place "), False, role.removeprefix("place ")
     words = [word for word in _SPLIT.split(rest) if word]
     axis = role in (*AXES, "w")
-    if role != "time" and any(word.lower() in OTHERS for word in words):
+    if role != "time" and any(word.lower() in EXCLUDED_WORDS for word in words):
         return None
     if axis and _LETTER.fullmatch(rest) and unit not in LENGTH:
         return None
-    kept = [word for word in words if word.lower() not in (*CARRIERS, *PLACES)]
+    kept = [word for word in words if word.lower() not in (*NEUTRAL_WORDS, *POSITION_WORDS)]
     if axis:
-        turn = any(word.lower() in TURNS for word in kept)
-        kept = [word for word in kept if word.lower() not in TURNS]
-        place = place or any(word.lower() in PLACES for word in words)
+        turn = any(word.lower() in ROTATION_WORDS for word in kept)
+        kept = [word for word in kept if word.lower() not in ROTATION_WORDS]
+        place = place or any(word.lower() in POSITION_WORDS for word in words)
     # The name as it was written, where all of it is that of the object.
     object = rest.strip(" _.:/-[]()|,;%") if len(kept) == len(words) else "_".join(kept)
     if axis and turn:

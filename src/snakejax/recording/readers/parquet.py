@@ -9,7 +9,7 @@ from snakejax.core.errors import InputError
 
 from .capture import MOST_COLUMNS, Capture, Source
 from .columns import COUNTED, capture_of, columns_of
-from .subprocess_reader import read_apart
+from .subprocess_reader import read_in_subprocess
 
 MAGIC = b"PAR1"
 
@@ -21,7 +21,7 @@ def recognises(source: Source) -> bool:
 
 def read(source: Source) -> Capture:
     """All objects. **Raises:** `InputError`."""
-    facts, arrays = read_apart("parquet", source.path, "pyarrow")
+    facts, arrays = read_in_subprocess("parquet", source.path, "pyarrow")
     names, where = facts["names"], str(source.path)
     columns = columns_of(names, ["s" if i in facts["stamps"] else "" for i in range(len(names))], source.hints, where)
     values, labels = {}, None

@@ -12,11 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from snakejax.core.errors import InputError
+from snakejax.core.tabular import first_few
 
 from .capture import Body, Capture, Source
 from .cells import shown
 from .rotations import require_unit
-from .subprocess_reader import read_apart
+from .subprocess_reader import read_in_subprocess
 
 MAGIC = {b"#ROSBAG V": ".bag", b"\x89MCAP0\r\n": ".mcap", b"SQLite format 3\0": ".db3"}
 POSES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/Odometry")
@@ -51,7 +52,7 @@ def _suffix(head: bytes) -> str | None:
 def read(source: Source) -> Capture:
     """All bodies. **Raises:** `InputError`."""
     where = str(source.path)
-    facts, arrays = read_apart("ros_bag", source.path, "rosbags")
+    facts, arrays = read_in_subprocess("ros_bag", source.path, "rosbags")
     bodies: dict[str, Body] = {}
     notes = []
     for i, name in enumerate(facts["names"]):
@@ -65,11 +66,9 @@ def read(source: Source) -> Capture:
             notes.append(f"{shown(name)} has no stamps of its own: its times are those of the bag, which jitter")
     for frame in dict.fromkeys(filter(None, facts["parents"].values())):
         inside = [shown(name) for name, parent in facts["parents"].items() if parent == frame]
-        more = f" and {len(inside) - MOST_LISTED} more" if len(inside) > MOST_LISTED else ""
-        notes.append(f"in the frame {shown(frame)} are the poses of {', '.join(inside[:MOST_LISTED])}{more}")
+        notes.append(f"in the frame {shown(frame)} are the poses of {first_few(inside, MOST_LISTED)}")
     if others := facts["others"]:
-        more = f", and {len(others) - MOST_LISTED} more" if len(others) > MOST_LISTED else ""
-        notes.append(f"topics that hold no pose and are not read: {', '.join(others[:MOST_LISTED])}{more}")
+        notes.append(f"topics that hold no pose and are not read: {first_few(others, MOST_LISTED, comma=True)}")
     return Capture("ROS bag", source.path, where, None, "m", bodies, {}, np.zeros(0), notes=notes)
 
 

@@ -28,7 +28,7 @@ that are read in a second."""
 _CHILD = "from snakejax.recording.readers.subprocess_reader import child; child()"
 
 
-def read_apart(
+def read_in_subprocess(
     module: str, path: Path, library: str, remedy: str = "export it again; it may be damaged"
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """What `load(path)` of the reader `module` returns: facts that JSON can hold, and arrays by name.

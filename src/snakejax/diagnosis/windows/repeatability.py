@@ -43,21 +43,21 @@ def _commands(run: Run) -> Float[np.ndarray, "n k"]:
     return np.stack([np.asarray(jax.vmap(run.gait.signal(name).at)(times).angle) for name in run.gait.names], axis=1)
 
 
-def own_errors(runs: Sequence[Run], noise: Float[np.ndarray, "3"]) -> Float[np.ndarray, "W 2"]:
+def repeatability_errors(runs: Sequence[Run], noise: Float[np.ndarray, "3"]) -> Float[np.ndarray, "W 2"]:
     """Root mean square errors [m, rad] of `runs` under the same commands about a motion with the mean yaw rate of all.
 
     u = u_0 + u_1 t, v = v_0, r = the mean of all runs; start pose, u_0, u_1 and v_0 are those of the run. The speed
     settles over seconds; sideways velocity and yaw rate do within a tenth of one, so that a model knows them by the
     commands alone.
     """
-    free = [_own_motion(run, np.asarray(noise), None) for run in runs]
+    free = [_fitted_motion(run, np.asarray(noise), None) for run in runs]
     rate = float(np.mean([motion[-1] for motion, _ in free]))
     # Of R runs the mean takes up a share 1 / R of the variance.
     unbiased = np.sqrt(len(runs) / (len(runs) - 1))
-    return unbiased * np.array([_own_motion(run, np.asarray(noise), rate)[1] for run in runs])
+    return unbiased * np.array([_fitted_motion(run, np.asarray(noise), rate)[1] for run in runs])
 
 
-def _own_motion(run: Run, noise: np.ndarray, rate: float | None) -> tuple[np.ndarray, tuple[float, float]]:
+def _fitted_motion(run: Run, noise: np.ndarray, rate: float | None) -> tuple[np.ndarray, tuple[float, float]]:
     """The numbers (7,) of the motion of one run, the last of which is its yaw `rate` unless given; and its errors."""
     times, pose = np.asarray(run.times), np.asarray(run.pose)
     measured = np.isfinite(pose).all(axis=1)
@@ -84,11 +84,11 @@ def _own_motion(run: Run, noise: np.ndarray, rate: float | None) -> tuple[np.nda
     return complete(optimum.x), (float(rms[0]), float(rms[1]))
 
 
-def own_floor(runs: Sequence[Run], noise: Float[np.ndarray, "3"]) -> PoseError | None:
+def repeatability_floor(runs: Sequence[Run], noise: Float[np.ndarray, "3"]) -> PoseError | None:
     """The median error of steady windows about their mean motion; None where they are fewer than `FEWEST`."""
     groups = steady_windows(runs)
     if sum(len(group) for group in groups) < FEWEST:
         return None
-    errors = np.concatenate([own_errors([runs[k] for k in group], noise) for group in groups])
+    errors = np.concatenate([repeatability_errors([runs[k] for k in group], noise) for group in groups])
     middle = np.median(errors, axis=0)
     return PoseError(float(middle[0]), float(middle[1]), "vehicle and cameras under constant commands")
