@@ -4,8 +4,11 @@ import equinox as eqx
 import numpy as np
 import pytest
 import scipy.signal
+from helpers.folders import DATA
 from scipy import stats
 
+from snakejax.core.errors import FitError
+from snakejax.diagnosis.residuals import comparison
 from snakejax.diagnosis.residuals.comparison import compare, compare_models
 from snakejax.diagnosis.residuals.dependence import (
     LEVEL,
@@ -241,6 +244,18 @@ def test_side_by_side(recordings) -> None:
     assert ideal.train and pacejka.train and pacejka.heldout and pacejka.failure is None
     assert pacejka.train.misfit < 1.1 < 100.0 < ideal.train.misfit
     assert pacejka.heldout.position_m < 0.001
+
+
+def test_models_side_by_side_have_the_structure_and_the_loss_that_are_asked_for(monkeypatch) -> None:
+    case, asked = load_case(DATA / "level-board"), []
+
+    def fitted(model, runs, noise, *, threshold):
+        asked.append((model.structure, threshold))
+        raise FitError("not fitted")
+
+    monkeypatch.setattr(comparison, "fit", fitted)
+    sides = compare_models(case, ("ideal", "pacejka"), structure="coupled", threshold=3.0)
+    assert asked == [("ideal", 3.0), ("coupled", 3.0)] and {side.failure for side in sides} == {"not fitted"}
 
 
 def test_autocorrelation_is_that_of_an_autoregressive_process() -> None:

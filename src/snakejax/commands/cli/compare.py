@@ -28,7 +28,10 @@ def add(commands: Any) -> None:
     add_model(command)
     add_fitting(command)
     command.add_argument(
-        "--against", metavar="MODEL,...", help=f"fit these models too and list their errors: {', '.join(MODEL_KINDS)}"
+        "--against",
+        metavar="MODEL,...",
+        help="fit these models too, without effects, with the same --skid and --robust, and list their errors:"
+        f" {', '.join(MODEL_KINDS)}",
     )
     add_output(command)
     add_films(command)
@@ -63,7 +66,8 @@ def work(options: argparse.Namespace, case: Any, say: Progress) -> Outcome:
     kinds = names(options.against) or []
     if kinds:
         say(ProgressEvent(Phase.OTHER_MODELS, f"fitting {', '.join(kinds)}"))
-    sides = compare_models(case, kinds, noise) if kinds else ()
+    loss = threshold(options.robust)
+    sides = compare_models(case, kinds, noise, structure=options.skid, threshold=loss) if kinds else ()
     provenance = provenance_json(options.seed, given(options), case.sha256)
     result = fit_json(case, noise, fit, provenance)
     result["comparison"] = clean(comparison_json(comparison, sides))

@@ -8,6 +8,8 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from snakejax.core.errors import FitError
 from snakejax.core.tabular import Tabular
 from snakejax.estimation.fit_record import Fit
@@ -82,18 +84,24 @@ def compare(fitted: Fit, *, length: float = 1.0, count: int = 8) -> Comparison:
 
 
 def compare_models(
-    case: Case, kinds: Sequence[str] = ("ideal", "rayleigh", "pacejka"), noise: Noise | None = None
+    case: Case,
+    kinds: Sequence[str] = ("ideal", "rayleigh", "pacejka"),
+    noise: Noise | None = None,
+    *,
+    structure: str | None = None,
+    threshold: float = np.inf,
 ) -> tuple[ModelScore, ...]:
     """Each kind of model fitted to the same runs, with misfit and rms error on train and held-out runs.
 
-    `noise`: as given, else the case's own, else as the recordings show it.
+    `noise`: as given, else the case's own, else as the recordings show it; `structure`: that of the case unless given
+    ("ideal" has its own); `threshold`: that of Huber's loss [standard deviations].
     **Raises:** `InputError` for an unknown kind; a fit that fails is a row that says why.
     """
     noise = noise or noise_of(case)
 
     def side(kind: str) -> ModelScore:
         try:
-            fitted = fit(starting_model(case, kind), case.runs, noise)
+            fitted = fit(starting_model(case, kind, structure), case.runs, noise, threshold=threshold)
         except FitError as error:
             return ModelScore(kind, None, None, str(error))
         return ModelScore(kind, fitted.train_score, fitted.heldout_score, None, fitted.converged)
