@@ -221,7 +221,7 @@ def dependence(shares: Sequence[Json]) -> Chart:
         "hovertemplate": "%{y}: %{x:.1f} %<extra></extra>",
     }
     layout = axes(
-        "squared error above the noise that it predicts, omitted runs [%]",
+        "share that it predicts [%]",
         "",
         yaxis={"automargin": True},
         xaxis={"range": [0, 100]},
