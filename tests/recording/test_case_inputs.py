@@ -5,18 +5,14 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.car_toml import CAR_TOML
 
 from snakejax.core.errors import InputError
 from snakejax.recording.case import load_case
 
-CASE = """\
-skid = "ideal"
-[vehicle]
-kind = "car"
-mass_kg = 1.58
-inertia_kgm2 = 0.008
-front_m = 0.08
-rear_m = 0.09
+CASE = (
+    CAR_TOML
+    + """\
 {actuator}
 [[runs]]
 role = "train"
@@ -25,6 +21,7 @@ object = "car"
 joint_log = {{file = "log.csv", kind = "commanded", hold = true}}
 {keys}
 """
+)
 
 
 def written(folder: Path, keys: str = "", actuator: str = "") -> Path:

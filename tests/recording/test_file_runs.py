@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.car_toml import CAR_TOML
 from helpers.folders import DATA, beside
 
 from snakejax.core.errors import InputError
@@ -12,14 +13,9 @@ from snakejax.recording.case import load_case
 from snakejax.recording.continuous import chosen_windows, continuous_parts
 
 HEADER = "elapsed time sensors,voltage,safety_value,throttle,steering,vicon time,vicon x,vicon y,vicon yaw"
-CASE = """\
-skid = "ideal"
-[vehicle]
-kind = "car"
-mass_kg = 1.58
-inertia_kgm2 = 0.008
-front_m = 0.08
-rear_m = 0.09
+CASE = (
+    CAR_TOML
+    + """\
 [[runs]]
 role = "train"
 group = "fast"
@@ -29,6 +25,7 @@ windows = {length_s = 1.0, most = 100}
 role = "heldout"
 files = "0910_1.csv"
 """
+)
 STAMP_AHEAD = 30.0
 """The sender's clock shows so much [s] more than the cameras' time from their first frame."""
 

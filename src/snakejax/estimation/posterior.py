@@ -35,7 +35,7 @@ def posterior_samples(fit: Fit, count: int, seed: int = 0, progress: Progress = 
     if not names:
         return [fit.model] * count
     rng = np.random.default_rng(seed)
-    scale = spread(best)
+    scale, best_cost = spread(best), problem.cost(best, train)
     limit = stats.chi2.ppf(LIKELY, len(names)) * scale**2
     domains = domains_of(problem.model, names)
     bound = _BoundParameters.of(problem, best, train)
@@ -57,7 +57,7 @@ def posterior_samples(fit: Fit, count: int, seed: int = 0, progress: Progress = 
 
     def likely(values: dict[str, float]) -> bool:
         refitted = problem.fit(values, (), train, best.start, most=6)
-        return bool(problem.cost(refitted, train) - problem.cost(best, train) <= limit)
+        return bool(problem.cost(refitted, train) - best_cost <= limit)
 
     models = []
     for k in range(count):
