@@ -57,6 +57,17 @@ def numbers(rows: Rows, names: Sequence[str], blank: Sequence[str] = ()) -> Floa
     return table
 
 
+def columns_at_once(rows: Rows, width: int, indices: Sequence[int]) -> Float[np.ndarray, "n c"] | None:
+    """The columns numbered `indices` of `width`, where all cells of the table are numbers or blank; else None."""
+    complete = []
+    for _, part in rows.parts(width):
+        values = all_at_once(part, width)
+        if values is None:
+            return None
+        complete.append(values[:, indices])
+    return np.concatenate(complete)
+
+
 def all_at_once(rows: Rows, width: int) -> Float[np.ndarray, "n c"] | None:
     """The numbers, where the cells are numbers or blank and nothing else, and as many in each row; else None."""
     wide = rows.lines[0].count(rows.separator) + 1

@@ -22,7 +22,7 @@ from .cells import is_comment, separator_of, split
 from .columns import COUNTED, LOST, Column, capture_of, columns_of
 from .dates import is_date, seconds
 from .names import AXES, UNIT_OF, without_unit
-from .numeric_table import Rows, all_at_once, numbers
+from .numeric_table import Rows, columns_at_once, numbers
 
 MOST_COMMENTS = 100
 """Lines of comment that may stand before a table."""
@@ -134,11 +134,8 @@ def _values(
     indices = [c.column_index for c in columns if c.role != "object" and c.column_index != COUNTED]
     label = next((c.column_index for c in columns if c.role == "object"), None)
     clock = next(c.column_index for c in columns if c.role == "time")
-    if label is None:
-        parts = [all_at_once(part, len(names)) for _, part in rows.parts(len(names))]
-        complete = [values[:, indices] for values in parts if values is not None]
-        if len(complete) == len(parts):
-            return dict(zip(indices, np.concatenate(complete).T, strict=True)), None, False
+    if label is None and (complete := columns_at_once(rows, len(names), indices)) is not None:
+        return dict(zip(indices, complete.T, strict=True)), None, False
     need = max(*indices, label or 0)
     kept, labels, dates = [], [], []
     for row, line in enumerate(rows.lines):

@@ -19,7 +19,7 @@ from snakejax.dynamics.inputs import Input
 
 from .cells import is_blank, is_comment, separator_of, split
 from .input_log import SUFFIX
-from .numeric_table import Rows, numbers
+from .numeric_table import Rows, columns_at_once, numbers
 
 STAMP, ENABLE = "stamp", "enable"
 ALIASES = {"drive": ("throttle",), STAMP: ("elapsed time sensors",), ENABLE: ("safety_value", "safety")}
@@ -65,6 +65,16 @@ class InputTable(NamedTuple):
                 raise InputError(f'There is no column "{name}"', self.where, instead_of(name, self.header))
         names = list(dict.fromkeys(wanted))
         indices = [self.header.index(name) for name in names]
+        table = columns_at_once(self.rows, len(self.header), indices)
+        if table is None:
+            table = self._row_by_row(names, indices)
+        for column, name in enumerate(names):
+            if (blank := np.flatnonzero(np.isnan(table[:, column]))).size:
+                where = self.rows.where(int(blank[0]))
+                raise InputError(f"The cell of {name} is blank", where, "fill it, or remove the row")
+        return dict(zip(names, table.T, strict=True))
+
+    def _row_by_row(self, names: Sequence[str], indices: Sequence[int]) -> Float[np.ndarray, "n c"]:
         kept = []
         for row in range(len(self.rows.lines)):
             cells = self.rows.cells(row)
@@ -72,12 +82,7 @@ class InputTable(NamedTuple):
                 what = f"The row has {len(cells)} cells, but there are {len(self.header)} columns"
                 raise InputError(what, self.rows.where(row), "complete the row, or remove it")
             kept.append("\t".join(cells[i] for i in indices))
-        table = numbers(self.rows._replace(lines=kept, separator="\t"), names)
-        for column, name in enumerate(names):
-            if (blank := np.flatnonzero(np.isnan(table[:, column]))).size:
-                where = self.rows.where(int(blank[0]))
-                raise InputError(f"The cell of {name} is blank", where, "fill it, or remove the row")
-        return dict(zip(names, table.T, strict=True))
+        return numbers(self.rows._replace(lines=kept, separator="\t"), names)
 
 
 def read_table(path: Path) -> InputTable:
