@@ -19,14 +19,10 @@ from snakejax.diagnosis.windows.explaining import (
     recordings_of,
     supports,
 )
-from snakejax.diagnosis.windows.repeatability import repeatability_errors, steady_windows
 from snakejax.diagnosis.windows.search import Candidate, SearchState, _p_value
-from snakejax.dynamics.inputs import Inputs
 from snakejax.dynamics.model import Model
-from snakejax.dynamics.sampled_signals import Held
 from snakejax.effects import library
 from snakejax.estimation.window_fit import WindowColumns, scale_of, weights_of
-from snakejax.recording.run import Run
 from snakejax.vehicles.car import DART, Car
 
 OFFERED = ("steering_asymmetry", "rolling_resistance", "yaw_damping", "ground_slope", "load_transfer")
@@ -155,37 +151,3 @@ def test_few_recordings_are_left_out_in_parts() -> None:
     single = recordings_of(["one"] * 9)
     assert single.tolist() == [0, 0, 0, 1, 1, 1, 2, 2, 2]
     assert np.unique(recordings_of([f"run{k:03}" for k in range(100)])).size == MOST_RECORDINGS
-
-
-def test_the_repeatability_error_is_what_a_steady_circle_lacks() -> None:
-    times = np.arange(30) * 0.05
-    rng = np.random.default_rng(2)
-    heading = 0.4 + 1.5 * times
-    path = np.cumsum(np.column_stack([np.cos(heading), np.sin(heading)]) * (1.0 + 0.2 * times)[:, None], axis=0) * 0.05
-    gait = Inputs({"steer": Held.of([0.0], [0.3]), "drive": Held.of([0.0], [0.2])})
-    varying = Inputs({"steer": Held.of([0.0, 0.7], [0.3, 0.1]), "drive": Held.of([0.0], [0.2])})
-    noise = np.array([1e-3, 1e-3, 2e-3])
-    runs = []
-    for k in range(40):
-        pose = np.column_stack([path, heading]) + rng.normal(size=(30, 3)) * noise
-        runs.append(Run(f"w{k}", "train", times, pose, varying if k % 4 == 0 else gait, moving=True, cut_from="one"))
-    assert steady_windows(runs) == [[k for k in range(40) if k % 4]]
-    errors = repeatability_errors([runs[k] for k in range(40) if k % 4], noise)
-    # Position counts two channels of 1 mm each.
-    np.testing.assert_allclose(np.sqrt((errors**2).mean(axis=0)), [np.sqrt(2) * 1e-3, 2e-3], rtol=0.1)
-
-
-def test_runs_that_turn_at_rates_of_their_own_do_not_repeat() -> None:
-    times, rng = np.arange(30) * 0.05, np.random.default_rng(4)
-    gait = Inputs({"steer": Held.of([0.0], [0.3]), "drive": Held.of([0.0], [0.2])})
-    runs = []
-    for k in range(60):
-        heading = (1.5 + 0.1 * rng.normal()) * times
-        path = np.cumsum(np.column_stack([np.cos(heading), np.sin(heading)]), axis=0) * 0.05
-        pose = np.column_stack([path, heading])
-        runs.append(Run(f"w{k}", "train", times, pose, gait, moving=True, cut_from="one"))
-    errors = repeatability_errors(runs, np.array([1e-3, 1e-3, 2e-3]))
-    # A rate off by 0.1 rad/s leaves 0.1 times the standard deviation of time about its mean in heading, where the
-    # start heading is free; the position has a say in it too.
-    expected = 0.1 * times.std()
-    assert 0.7 * expected < np.sqrt((errors[:, 1] ** 2).mean()) < 2.0 * expected

@@ -8,29 +8,37 @@ import numpy as np
 from jaxtyping import Float
 from scipy import optimize
 
+from snakejax.dynamics.sampled_signals import held_signals
 from snakejax.recording.run import Run
 
 from ..explanation import PoseError
 
 STEADY = 0.02
 """A command is steady where it stays within this share of its largest size in all recordings."""
+PARTS = 4
+"""Equal parts of a window, whose means are compared where a command is measured and has noise of its own."""
+NOISE_RANGE = 3.63
+"""The range of the means of `PARTS` parts, in standard deviations, that white noise exceeds in 5% of windows."""
 FEWEST = 5
 """The least number of steady windows of which a median is reported."""
 
 
 def steady_windows(runs: Sequence[Run]) -> list[list[int]]:
-    """The numbers of the `runs` throughout which every command is steady, those of one recording under the same
-    commands together; groups of a single one are left out."""
+    """The numbers of the `runs` throughout which every command is steady, those under the same commands together;
+    groups of a single one are left out.
+
+    Windows of one recording are compared with each other, and so are recordings that are a run each, of one label.
+    """
     commands = [_commands(run) for run in runs]
-    largest = np.max([np.abs(one).max(axis=0) for one in commands], axis=0)
+    largest = np.max([np.abs(values).max(axis=0) for values, _ in commands], axis=0)
     groups: list[list[int]] = []
-    for k, (run, one) in enumerate(zip(runs, commands, strict=True)):
-        if not (np.ptp(one, axis=0) <= STEADY * largest).all():
+    for k, (run, (values, noise)) in enumerate(zip(runs, commands, strict=True)):
+        if not _steady(values, noise, STEADY * largest):
             continue
         for group in groups:
-            first = group[0]
-            alike = np.abs(one[0] - commands[first][0]) <= STEADY * largest
-            if run.recorded_as == runs[first].recorded_as and alike.all():
+            first = runs[group[0]]
+            alike = np.abs(values.mean(axis=0) - commands[group[0]][0].mean(axis=0)) <= STEADY * largest
+            if (run.cut_from, run.labels) == (first.cut_from, first.labels) and alike.all():
                 group.append(k)
                 break
         else:
@@ -38,9 +46,32 @@ def steady_windows(runs: Sequence[Run]) -> list[list[int]]:
     return [group for group in groups if len(group) > 1]
 
 
-def _commands(run: Run) -> Float[np.ndarray, "n k"]:
+def _commands(run: Run) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, " k"]]:
+    """The commands of `run` at its times, and the standard deviation of the noise of each: zero where it is held."""
     times = jnp.asarray(run.times)
-    return np.stack([np.asarray(jax.vmap(run.gait.signal(name).at)(times).angle) for name in run.gait.names], axis=1)
+    signals = [run.gait.signal(name) for name in run.gait.names]
+    values = np.stack([np.asarray(jax.vmap(signal.at)(times).angle) for signal in signals], axis=1)
+    held = np.array([bool(held_signals(signal)) for signal in signals])
+    return values, np.where(held, 0.0, _sample_noise(values))
+
+
+def _sample_noise(values: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " k"]:
+    """The standard deviation of white noise by the median size of second differences, which is 0.6745 sqrt(6) times it.
+
+    It is zero where there are too few samples.
+    """
+    if len(values) < 2 * PARTS:
+        return np.zeros(values.shape[1])
+    return np.median(np.abs(np.diff(values, 2, axis=0)), axis=0) / (0.6745 * np.sqrt(6.0))
+
+
+def _steady(values: np.ndarray, noise: np.ndarray, allowed: np.ndarray) -> bool:
+    """Whether the range of each command is at most `allowed`; where it has noise, the range of the means of the parts
+    of the window is, and may be larger by what that noise does."""
+    parts = np.array_split(values, PARTS)
+    means = np.stack([part.mean(axis=0) for part in parts]) if len(values) >= PARTS else values
+    limit = allowed + NOISE_RANGE * noise / np.sqrt(len(parts[-1]))
+    return bool((np.where(noise > 0, np.ptp(means, axis=0), np.ptp(values, axis=0)) <= limit).all())
 
 
 def repeatability_errors(runs: Sequence[Run], noise: Float[np.ndarray, "3"]) -> Float[np.ndarray, "W 2"]:
