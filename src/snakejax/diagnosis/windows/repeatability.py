@@ -29,7 +29,7 @@ def steady_windows(runs: Sequence[Run]) -> list[list[int]]:
 
     Windows of one recording are compared with each other, and so are recordings that are a run each, of one label.
     """
-    commands = [_commands(run) for run in runs]
+    commands = [commands_of(run) for run in runs]
     largest = np.max([np.abs(values).max(axis=0) for values, _ in commands], axis=0)
     groups: list[list[int]] = []
     for k, (run, (values, noise)) in enumerate(zip(runs, commands, strict=True)):
@@ -46,7 +46,7 @@ def steady_windows(runs: Sequence[Run]) -> list[list[int]]:
     return [group for group in groups if len(group) > 1]
 
 
-def _commands(run: Run) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, " k"]]:
+def commands_of(run: Run) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, " k"]]:
     """The commands of `run` at its times, and the standard deviation of the noise of each: zero where it is held."""
     times = jnp.asarray(run.times)
     signals = [run.gait.signal(name) for name in run.gait.names]
