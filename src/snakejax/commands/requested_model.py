@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NamedTuple, TypedDict
 
 from snakejax.core.errors import InputError, instead_of
-from snakejax.core.parameter import parameters, with_parameters
+from snakejax.core.parameter import parameters, short_name, with_parameters
 from snakejax.dynamics.kinds import MODEL_KINDS
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.ports import Effect
@@ -102,7 +102,7 @@ def require_given(requested: RequestedModel, own: bool, options: ModelOptions) -
         effect, parameter = effects[0].split(".", 1)
         what = f"Effect `{effect}` has no value for `{parameter}`"
         raise InputError(what, WITH, f"write {effect}:{parameter}=NUMBER")
-    tyre = [name.removeprefix("tyre.") for name in missing if name.startswith("tyre.")]
+    tyre = [short_name(name) for name in missing if name.startswith("tyre.")]
     if tyre and not own:
         where = "option --set" if options.get("set") else "option --model"
         remedy = f"write --set {','.join(f'{name}=NUMBER' for name in tyre)}, or name a saved fit with --from"
@@ -168,5 +168,9 @@ def dotted(model: Model, name: str, where: str) -> str:
     except InputError as error:
         raise InputError(error.what, where, error.remedy) from None
     if len(matching) > 1:
-        raise InputError(f"`{name}` matches {len(matching)} parameters", where, f"write one of {', '.join(matching)}")
+        raise InputError(
+            f"`{name}` matches {len(matching)} parameters",
+            where,
+            f"write one of {', '.join(map(short_name, matching))}",
+        )
     return matching[0]

@@ -165,6 +165,11 @@ def _getter(name: str) -> Callable[[Any], Any]:
     return get
 
 
+def short_name(name: str) -> str:
+    """The name of a parameter in tables, messages and options: `B` for `tyre.B`, the dotted name for all others."""
+    return name.removeprefix("tyre.")
+
+
 def with_parameters(tree: T, values: Mapping[str, Any]) -> T:
     """`tree` with the parameters in `values` (by dotted name) replaced; values may be JAX tracers.
 

@@ -4,7 +4,7 @@ import fnmatch
 from collections.abc import Sequence
 
 from snakejax.core.errors import InputError, instead_of
-from snakejax.core.parameter import parameters
+from snakejax.core.parameter import parameters, short_name
 from snakejax.dynamics.axle_tyres import FrontRear
 from snakejax.dynamics.constants import GRAVITY
 from snakejax.dynamics.kinds import MODEL_KINDS, TYRE_LAWS
@@ -84,6 +84,10 @@ def select_parameters(model: Model, patterns: Sequence[str]) -> list[str]:
         fits = fits or [n for n in known if fnmatch.fnmatchcase(n.split(".", 1)[-1], pattern)]
         fits = fits or [n for n in known if n.rsplit(".", 1)[-1] == pattern]
         if not fits:
-            raise InputError(f"No parameter is called `{pattern}`", "option --free", instead_of(pattern, known))
+            raise InputError(
+                f"No parameter is called `{pattern}`",
+                "option --free",
+                instead_of(pattern, [short_name(name) for name in known]),
+            )
         selected += [name for name in fits if name not in selected]
     return selected

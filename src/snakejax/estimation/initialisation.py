@@ -7,6 +7,7 @@ import numpy as np
 
 from snakejax.core.errors import FitError
 from snakejax.core.parallel import ContextThreads
+from snakejax.core.parameter import short_name
 from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
 from snakejax.recording.run import Run
 
@@ -212,7 +213,9 @@ def require_sensitive(problem: Problem, values: Mapping[str, float], free: Seque
         )
     for name, size in zip(free, sizes, strict=True):
         if not size > 1e-9:
-            raise FitError(f"Parameter `{name}` moves nothing in these runs, so it cannot be fitted: leave it fixed.")
+            raise FitError(
+                f"Parameter `{short_name(name)}` moves nothing in these runs, so it cannot be fitted: leave it fixed."
+            )
 
 
 def require_near(problem: Problem, solution: Solution, runs: Sequence[int]) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
+from snakejax.core.parameter import short_name
 from snakejax.estimation.fit_record import Fit
 from snakejax.estimation.uncertainty import Estimate
 from snakejax.recording.run import Case, Noise, Run
@@ -17,7 +18,6 @@ from .values import (
     parameters_json,
     rmse_json,
     runs_json,
-    short,
 )
 
 
@@ -59,7 +59,7 @@ def base_json(fit: Fit, intervals: Mapping[str, tuple[float | None, float | None
 
 def correlation_json(fit: Fit) -> Json:
     """The correlation of the estimates: `names`, and `matrix` in that order."""
-    return {"names": [short(name) for name in fit.fitted.loose], "matrix": fit.correlation}
+    return {"names": [short_name(name) for name in fit.fitted.loose], "matrix": fit.correlation}
 
 
 def combinations_json(combinations: Mapping[str, Estimate]) -> Json:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from snakejax.core.parameter import parameters
+from snakejax.core.parameter import parameters, short_name
 from snakejax.dynamics.conditions import ByCondition
 from snakejax.dynamics.law import Law
 from snakejax.dynamics.model import Model
@@ -44,11 +44,6 @@ def clean(value: Any) -> Any:
 def as_text(result: Any) -> str:
     """`result` as JSON text."""
     return json.dumps(clean(result), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def short(name: str) -> str:
-    """The short name of a parameter: `B` for `tyre.B`, and the dotted name for all others."""
-    return name.removeprefix("tyre.")
 
 
 def estimate_json(estimate: Estimate, interval: tuple[float | None, float | None] | None = None) -> Json:
@@ -88,7 +83,7 @@ def all_parameters_json(
 
 def parameters_json(parts: Mapping[str, Json]) -> Json:
     """Those of `all_parameters_json` that belong to no effect, by their short names."""
-    return {short(name): part for name, part in parts.items() if not name.startswith("effects.")}
+    return {short_name(name): part for name, part in parts.items() if not name.startswith("effects.")}
 
 
 def effects_json(parts: Mapping[str, Json], model: Model) -> Json:

@@ -9,10 +9,8 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from snakejax.core.parameter import Domain
+from snakejax.core.parameter import Domain, short_name
 from snakejax.estimation.uncertainty import Estimate
-
-from ..as_json.values import short
 
 MOST_DIGITS = 9
 """The largest number of significant digits: the error of a simulation is about 1e-9 of its result."""
@@ -111,7 +109,7 @@ def add_row(table: Table, *cells: str, style: str | None = None) -> None:
 
 def named(name: str) -> str:
     """A parameter in a table: `B`, `ground_slope.sx`, `board.mass`."""
-    return short(name).removeprefix("effects.")
+    return short_name(name).removeprefix("effects.")
 
 
 def indented(renderable: RenderableType) -> Padding:
