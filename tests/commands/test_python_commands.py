@@ -106,20 +106,33 @@ def test_diagnose_and_explain_work_with_defaults_and_with_the_options_of_a_fit(s
     assert len(found.steps) == 1
 
 
-@pytest.mark.slow
-def test_tune_works_on_a_case_a_preset_and_a_model(short: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def few_guesses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A gait is looked for from one start, in two steps."""
     from snakejax.design import gait_problem, tuning
 
     monkeypatch.setattr(gait_problem, "GUESSES", 12)
     for name, value in (("STARTS", 1), ("MOST", 2)):
         monkeypatch.setattr(tuning, name, value)
+
+
+@pytest.mark.slow
+def test_tune_works_on_a_case(short: Path, few_guesses: None) -> None:
     values = "B=7.6,C=1.5,D=8.5,E=-0.1"
     with pytest.warns(UserWarning):
         of_case = sj.tune(short, "distance", seconds=2, set=values)
     assert of_case.after.result >= of_case.before.result > 0 and of_case.seconds == 2
+
+
+@pytest.mark.slow
+def test_tune_works_on_a_model(few_guesses: None) -> None:
     limit = {"phi": 0.9, "psi": 1.6, "phi_rate": 4.0, "psi_rate": 6.5}
     of_model = sj.tune(sj.preset("paper-forward").model, "turn", seconds=2, limit=limit)
     assert of_model.limits.phi.angle == 0.9 and of_model.after.result > 0
+
+
+@pytest.mark.long
+def test_tune_works_on_a_preset(few_guesses: None) -> None:
     assert sj.tune("paper-forward", seconds=2).after.result > 0
 
 

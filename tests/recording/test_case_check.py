@@ -225,7 +225,7 @@ def test_holding():
     assert held.rate == pytest.approx(100.0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_recordings_are_clean_and_their_noise_is_as_given(recordings):
     for folder in sorted(path for path in recordings.iterdir() if path.is_dir()):
         recorded = load_case(folder)

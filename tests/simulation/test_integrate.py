@@ -29,6 +29,21 @@ def test_a_long_recording_may_take_more_steps():
     assert bool(simulate(model, gait, jnp.linspace(0.0, 1.0, 1000), accuracy=few, throw=False).finished)
 
 
+def test_models_and_gaits_of_one_structure_share_a_program():
+    """A second simulation, of other numbers and from another start, compiles nothing."""
+    compiled = []
+    jax.monitoring.register_event_duration_secs_listener(lambda name, _, **__: compiled.append(name))
+    times = jnp.linspace(0.0, 0.5, 3)
+    poses = []
+    for k in (1.0, 1.1):
+        model = Model(Board(**TABLE_II), Pacejka(8.0 * k, 1.3, 0.9 * k, 0.2), "coupled")
+        gait = Gait(Sines.of([[0.7 * k, 4.0, 0.0]]), Sines.of([[1.5, 4.0 * k, 0.0]]))
+        compiled.clear()
+        poses.append(simulate(model, gait, times, jnp.array([0.1 * k, 0.0, 0.2])).pose)
+    assert not [name for name in compiled if "compile" in name]
+    assert (poses[0][-1] != poses[1][-1]).all()
+
+
 EIGHTH_ORDER = {1: 4 / 5, 2: -1 / 5, 3: 4 / 105, 4: -1 / 280}
 """Weights of the antisymmetric central difference with an error of the 8th order in the step."""
 

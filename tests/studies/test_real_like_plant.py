@@ -166,7 +166,7 @@ def exported(path: Path) -> np.ndarray:
     return cells * [1e-3, 1e-3, 1.0]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_with_the_numbers_of_the_key_the_plant_leaves_only_noise_of_every_recording(recordings):
     """Each run, its start pose fitted: whitened squares are chi-squared; one in a thousand such tests would fail."""
     pytest.importorskip("numba", reason="numba, of the extra `bench`, is not here: without it this takes half an hour.")

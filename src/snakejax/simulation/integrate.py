@@ -76,9 +76,14 @@ def simulate(
     """
     require_x64()
     times, start = jnp.asarray(times), jnp.asarray(start, jnp.float64)
-    gait = model.prepared(gait)
     if start.shape not in ((3,), (6,), (6 + model.memories,)):
         raise ValueError(f"Argument `start` must have 3 or 6 numbers, but its shape is {start.shape}.")
+    return _simulate(model, gait, times, start, accuracy, throw, resting)
+
+
+@eqx.filter_jit  # so that models and gaits of one structure share one program
+def _simulate(model, gait, times, start, accuracy: Accuracy, throw: bool, resting) -> Trajectory:
+    gait = model.prepared(gait)
     delayed, begins = times - model.delay(), gait.begins()
     if start.shape == (3,):
         t0, delayed = begins, jnp.maximum(delayed, begins)

@@ -90,8 +90,8 @@ def test_a_payload_is_said_where_any_run_has_one(case) -> None:
             gait_options.payload_of(text)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("over", [pytest.param("mean", marks=pytest.mark.long), "worst"])
+@pytest.mark.long
+@pytest.mark.parametrize("over", ["mean", "worst"])
 def test_a_gait_for_draws_from_the_fit_does_on_them_what_is_said(told, over) -> None:
     """Two seconds leave B and C open."""
     found, *_ = told("--over", over)

@@ -169,7 +169,7 @@ def test_the_starter_loads_and_is_neutral_at_its_default(name, tmp_path):
     assert np.isfinite(slopes).all() and (np.abs(slopes).sum(axis=0) > 0).all()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("board", "variable"), [("board-j", "world_position"), ("board-d", "rotor_rate")])
 def test_what_a_recording_hides_is_named(recordings, board, variable):
     """`board-j` hides a spring of 0.15 N/m to (0.5, 0.8) m, `board-d` a grip that falls with the rotor's rate."""

@@ -34,7 +34,7 @@ def said(case, runs):
     return [(f.kind, f.what, f.run) for f in inspect(eqx.tree_at(lambda c: c.runs, case, tuple(runs))).findings]
 
 
-@pytest.fixture(scope="module", params=["bundled", pytest.param("recordings", marks=pytest.mark.slow)])
+@pytest.fixture(scope="module", params=["bundled", pytest.param("recordings", marks=pytest.mark.long)])
 def every_case(request):
     folders = BUNDLED if request.param == "bundled" else sorted(beside("recordings").glob("board-?"))
     return [load_case(folder) for folder in folders]

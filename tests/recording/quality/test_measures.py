@@ -47,7 +47,7 @@ def said(case: Case) -> list[tuple[str, str]]:
     return [(f.what, f.severity) for f in inspect(case).findings]
 
 
-@pytest.mark.parametrize("where", ["bundled", pytest.param("recordings", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("where", ["bundled", pytest.param("recordings", marks=pytest.mark.long)])
 def test_no_recording_gives_a_false_alarm(where) -> None:
     folders = DATA.glob("*-*") if where == "bundled" else beside("recordings").glob("board-?")
     for folder in sorted(folders):
