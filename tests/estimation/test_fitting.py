@@ -282,7 +282,7 @@ def test_a_parameter_that_moves_nothing_is_named(design):
         fit_problem(problem, ["tyre.D", "board.wheelset_inertia"])
     assert "\n" not in str(raised.value)
     idle = eqx.tree_at(lambda s: s.model.tyre, problem, with_parameters(problem.model, {"tyre.D": 0.0}).tyre)
-    with pytest.raises(FitError, match=r"`tyre\.B` moves nothing"):
+    with pytest.raises(FitError, match=r"`B` moves nothing"):
         fit_problem(idle, ["tyre.B"])
     with pytest.raises(FitError, match=r"None of tyre\.B, tyre\.C moves anything in these runs"):
         fit_problem(idle, ["tyre.B", "tyre.C"])
@@ -291,7 +291,7 @@ def test_a_parameter_that_moves_nothing_is_named(design):
 @pytest.mark.slow
 def test_an_ideal_board_has_no_tyre_to_fit(design):
     ideal = Model(BOARD, no_traction(), "ideal")
-    with pytest.raises(FitError, match=r"`tyre\.D` moves nothing"):
+    with pytest.raises(FitError, match=r"`D` moves nothing"):
         fit(ideal, design.recorded(design.poses(), 0).runs, NOISE, ["D"])
 
 

@@ -24,7 +24,7 @@ def test_every_notebook_is_run() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n == "fit-and-explain")) for n in SAYS])
+@pytest.mark.parametrize("name", SAYS)
 def test_a_notebook_runs_and_ends_as_its_text_says(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     nbformat = pytest.importorskip("nbformat", reason="Notebooks need the extra `test`.")
     nbclient = pytest.importorskip("nbclient", reason="Notebooks need the extra `test`.")
