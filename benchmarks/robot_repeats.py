@@ -4,10 +4,9 @@
 
 If the robot repeated itself, two windows of CASE (`data/robot` unless given) with the same steady wheel speeds would
 end in the same pose relative to their first one. Windows with the same speeds are found as
-`snakejax.diagnosis.windows.repeatability` does.
-The difference of the ends of two windows, over the root of 2, is what one of them deviates by. Beside it stands the
-error of a differential drive, v = R (l + r) / 2 and yaw rate = R (r - l) / b, whose R and b are fitted to the windows
-of the train set by least squares here.
+`snakejax.diagnosis.windows.repeatability` does. The difference of the ends of two windows, over the root of 2, is what
+one of them deviates by. Beside it stands the error of a differential drive, v = R (l + r) / 2 and yaw rate
+= R (r - l) / b, whose R and b are fitted to the windows of the train set by least squares here.
 """
 
 import argparse
@@ -39,11 +38,9 @@ def window(run: Run) -> Window:
     """What was measured in `run`."""
     pose = np.asarray(run.pose)
     seen = np.isfinite(pose).all(axis=1)
-    pose, times = pose[seen] - pose[seen][0], np.asarray(run.times)[seen]
-    angle = np.asarray(run.pose)[seen][0, 2]
-    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    pose[:, :2] = pose[:, :2] @ turn.T
-    return Window(times, pose, commands_of(run)[0][seen])
+    moved, angle = pose[seen] - pose[seen][0], pose[seen][0, 2]
+    moved[:, :2] = moved[:, :2] @ np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return Window(np.asarray(run.times)[seen], moved, commands_of(run)[0][seen])
 
 
 def differential_drive(windows: list[Window]) -> tuple[np.ndarray, list[np.ndarray]]:

@@ -168,9 +168,6 @@ def dotted(model: Model, name: str, where: str) -> str:
     except InputError as error:
         raise InputError(error.what, where, error.remedy) from None
     if len(matching) > 1:
-        raise InputError(
-            f"`{name}` matches {len(matching)} parameters",
-            where,
-            f"write one of {', '.join(map(short_name, matching))}",
-        )
+        remedy = f"write one of {', '.join(map(short_name, matching))}"
+        raise InputError(f"`{name}` matches {len(matching)} parameters", where, remedy)
     return matching[0]

@@ -1,8 +1,10 @@
 """Smoothed values and derivatives of samples, from local polynomials (Savitzky and Golay 1964).
 
 `derivative` filters even samples without gaps; `local_cubics` takes uneven ones with gaps; `even_local_cubics` takes
-even ones with gaps, and says how uncertain the second derivative is.
+even ones with gaps, and says how uncertain the second derivative is. `difference_noise` is what they leave.
 """
+
+from math import comb
 
 import numpy as np
 from jaxtyping import Float
@@ -97,3 +99,13 @@ def even_local_cubics(
         derivatives[enough, :, c] = coefficients[:, :3] * np.array([1.0, 1.0, 2.0])
         error[enough, c] = 2 * np.sqrt(np.maximum(inverse[:, 2, 2], 0.0)) * sd[c]
     return derivatives, error
+
+
+def difference_noise(values: Float[np.ndarray, "n c"], order: int) -> Float[np.ndarray, " c"]:
+    """The standard deviation of the white noise of `values`, n > `order`, by their differences of `order` k.
+
+    The median of |difference| over 0.6745 sqrt(binomial(2 k, k)): white noise of standard deviation one has differences
+    of variance binomial(2 k, k), and half of a normal distribution lies within 0.6745. No polynomial of a lower degree
+    contributes.
+    """
+    return np.median(np.abs(np.diff(values, order, axis=0)), axis=0) / (0.6745 * np.sqrt(comb(2 * order, order)))

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from snakejax.core.errors import InputError
+from snakejax.core.local_polynomials import difference_noise
 from snakejax.dynamics.inputs import AbstractInputs
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.sampled_signals import AHEAD, HISTORY, Held
@@ -124,13 +125,13 @@ def _kept(inputs: AbstractInputs, first: float, last: float) -> AbstractInputs:
 
 
 def frame_noise(pose: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
-    """The noise (3,) of one frame, x and y alike, by the third differences of what was seen: 0.67 sd is their median
-    over sqrt(20). What it is of a vehicle in motion counts, so frames that repeat the one before are left out."""
+    """The noise (3,) of one frame, x and y alike, by the third differences of what was seen. What it is of a vehicle in
+    motion counts, so frames that repeat the one before are left out."""
     measured = pose[np.isfinite(pose).all(axis=1)]
     measured = measured[np.concatenate([[True], (np.diff(measured, axis=0) != 0).any(axis=1)])]
     if len(measured) < 8:
         return np.full(3, LEAST_NOISE)
-    sd = np.median(np.abs(np.diff(measured, 3, axis=0)), axis=0) / (0.6745 * np.sqrt(20))
+    sd = difference_noise(measured, 3)
     place = float(np.sqrt((sd[0] ** 2 + sd[1] ** 2) / 2))
     return np.maximum([place, place, sd[2]], LEAST_NOISE)
 

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import optimize
 
+from snakejax.core.local_polynomials import difference_noise
 from snakejax.dynamics.sampled_signals import held_signals
 from snakejax.recording.run import Run
 
@@ -52,17 +53,9 @@ def commands_of(run: Run) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, "
     signals = [run.gait.signal(name) for name in run.gait.names]
     values = np.stack([np.asarray(jax.vmap(signal.at)(times).angle) for signal in signals], axis=1)
     held = np.array([bool(held_signals(signal)) for signal in signals])
-    return values, np.where(held, 0.0, _sample_noise(values))
-
-
-def _sample_noise(values: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " k"]:
-    """The standard deviation of white noise by the median size of second differences, which is 0.6745 sqrt(6) times it.
-
-    It is zero where there are too few samples.
-    """
-    if len(values) < 2 * PARTS:
-        return np.zeros(values.shape[1])
-    return np.median(np.abs(np.diff(values, 2, axis=0)), axis=0) / (0.6745 * np.sqrt(6.0))
+    if len(values) < 2 * PARTS:  # Too few samples do not show their noise.
+        return values, np.zeros(len(signals))
+    return values, np.where(held, 0.0, difference_noise(values, 2))
 
 
 def _steady(values: np.ndarray, noise: np.ndarray, allowed: np.ndarray) -> bool:
