@@ -356,6 +356,13 @@ def test_units_that_nobody_knows_are_refused(tmp_path, units, what) -> None:
         read_capture(path, FileAnnotations(units=units))
 
 
+@pytest.mark.parametrize("columns", [None, {"time": "t_s", "x": "x_mm", "y": "y_mm", "heading": "yaw_deg"}])
+def test_stated_units_overrule_the_names_of_columns_with_and_without_a_map(tmp_path, columns) -> None:
+    path = put(tmp_path, rows("t_s,x_mm,y_mm,yaw_deg", t, 100 * x, 100 * y, np.rad2deg(M.heading)))
+    track = read_track(path, "", FileAnnotations(columns=columns, units={"length": "cm"}))
+    np.testing.assert_allclose(track.pose, POSE, atol=1e-12)
+
+
 def test_objects_in_a_column_and_in_names_are_refused(tmp_path) -> None:
     path = tmp_path / "a.csv"
     rows = "".join(f"{k / 100},a,{k},0,0\n" for k in range(20))

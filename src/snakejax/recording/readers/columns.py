@@ -91,7 +91,8 @@ def _unclear(names: Sequence[str], clock: bool, placed: bool, where: str) -> Inp
 def _named(
     names: Sequence[str], units: Sequence[str], unit_hints: Mapping[str, str], taken: set[int], may_turn: bool
 ) -> list[Column]:
-    """The columns whose names say what they hold. x, y, z beside w, and beside another place, are a quaternion."""
+    """The columns whose names say what they hold, with the unit that the user, the name or the file states, in this
+    order. x, y, z beside w, and beside another place, are a quaternion."""
     parsed = {i: words for i, name in enumerate(names) if i not in taken and (words := named(name))}
     turned = {p.object for p in parsed.values() if may_turn and p.role == "qw" and p.plain}
     turned -= {p.object for p in parsed.values() if p.role == "qx"}
@@ -101,7 +102,8 @@ def _named(
         role = FRACTION if (p.object, role) in columns and role == "time" and p.unit in ("ms", "us", "ns") else role
         quantity = QUANTITY.get(role)
         stated = units[i] if i < len(units) else ""
-        unit = (p.unit or stated or unit_hints.get(quantity or "", "")) if quantity else ""
+        hint = "" if role == FRACTION else unit_hints.get(quantity or "", "")
+        unit = (hint or p.unit or stated) if quantity else ""
         if not unit or _factor(unit, quantity) is not None:
             columns.setdefault((p.object, role), Column(p.object, role, i, unit))
     return [*columns.values()]
