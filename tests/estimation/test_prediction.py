@@ -12,7 +12,14 @@ from snakejax.dynamics.inputs import Inputs
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.sampled_signals import Held
 from snakejax.dynamics.tyres import Pacejka
-from snakejax.estimation.prediction import PredictionWindow, predicted, prediction_errors, prediction_windows
+from snakejax.estimation.prediction import (
+    LeadIn,
+    PredictionWindow,
+    predicted,
+    prediction_errors,
+    prediction_windows,
+    prior_strength,
+)
 from snakejax.recording.run import Run
 from snakejax.simulation.integrate import simulate
 from snakejax.vehicles.car import DART, Car
@@ -108,6 +115,58 @@ def test_nothing_measured_after_the_lead_in_is_used() -> None:
     for one in both:  # The noise of a frame is that of the whole recording.
         one[0] = one[0]._replace(noise=np.array([1e-4, 1e-4, 1e-4]))
     np.testing.assert_array_equal(*(predicted(model, one)[0] for one in both))
+
+
+def lead_ins(relaxation: float, spread: float, jump: float) -> list[tuple[np.ndarray, np.ndarray, LeadIn]]:
+    """40 lead-ins of 0.5 s: true start, start of least chi^2 and the linear problem there. Velocities deviate by
+    `spread` from their mean, zero, and decay within `relaxation` seconds; in the first 0.1 s the cameras are off by
+    `jump` times the noise."""
+    rng, t = np.random.default_rng(2), np.arange(11) / 20
+    jacobian = np.zeros((11, 3, 6))
+    for c in range(3):
+        jacobian[:, c, c] = -100.0
+        jacobian[:, c, 3 + c] = -100.0 * relaxation * (1 - np.exp(-t / relaxation))
+    made = []
+    for _ in range(40):
+        truth = np.concatenate([np.zeros(3), rng.normal(0, spread, 3)])
+        off = rng.normal(size=3) * jump * (t < 0.1)[:, None]
+        residual = -jacobian @ truth + off + rng.normal(size=(11, 3))
+        best = np.linalg.lstsq(jacobian.reshape(-1, 6), -residual.reshape(-1))[0]
+        # The prior is of the velocities alone.
+        deviation = np.where(np.arange(6) < 3, 0.0, best)
+        made.append((truth, best, LeadIn(t[-1] - t, residual + jacobian @ best, jacobian, deviation)))
+    return made
+
+
+def test_a_prior_holds_velocities_that_soon_follow_the_commands() -> None:
+    """Their start would else explain how the first frames are off."""
+    made = lead_ins(0.3, 0.02, 8.0)
+    strength = prior_strength([one for *_, one in made])
+    assert (strength[:3] == 0).all() and (strength[3:] > 0).all()
+
+    def error(prior: np.ndarray) -> float:
+        """Of the place where the vehicle comes to rest beside its mean path."""
+        off = np.array([best + one.settled(prior)[0] - truth for truth, best, one in made])
+        return float(np.sqrt(((off[:, :3] + 0.3 * off[:, 3:]) ** 2).mean()))
+
+    assert error(strength) < 0.6 * error(np.zeros(6))
+
+
+def test_velocities_that_no_command_tells_keep_the_values_of_the_lead_in() -> None:
+    """A vehicle that rolls freely for minutes, at velocities 2 m/s and 2 rad/s from those of the prior."""
+    made = lead_ins(100.0, 2.0, 0.0)
+    strength = prior_strength([one for *_, one in made])
+    moved = np.array([one.settled(strength)[0] - one.settled(np.zeros(6))[0] for *_, one in made])
+    assert abs(moved[:, 3:]).max() < 0.02
+
+
+def test_the_state_under_a_prior_is_that_of_the_normal_equations() -> None:
+    ((*_, one), *_), strength = lead_ins(0.3, 1.0, 0.0), np.array([0, 0, 0, 3.0, 0.5, 8.0])
+    step, factor = one.settled(strength)
+    weight = np.repeat(factor, 3)
+    J, r = one.jacobian.reshape(-1, 6) * weight[:, None], one.residual.reshape(-1) * weight
+    normal = J.T @ J + np.diag(strength**2)
+    np.testing.assert_allclose(step, -np.linalg.solve(normal, J.T @ r + strength**2 * one.deviation), rtol=1e-9)
 
 
 def test_medians_and_nine_tenths() -> None:

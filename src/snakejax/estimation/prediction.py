@@ -4,6 +4,7 @@ At many moments of a recording the state is estimated from the `lead` seconds be
 simulated under the commands, and compared with what was measured 1, 2, 3 s later.
 """
 
+import bisect
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -12,7 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from snakejax.core.errors import InputError
 from snakejax.core.local_polynomials import difference_noise
@@ -22,9 +23,12 @@ from snakejax.dynamics.sampled_signals import AHEAD, HISTORY, Held
 from snakejax.dynamics.signals import AbstractSignal
 from snakejax.recording.continuous import LEAST_MOTION, continuous_parts, mean_speed
 from snakejax.recording.run import Noise, Run
+from snakejax.simulation.integrate import simulate
 
-from .problem import Problem
-from .replay import replayed
+from .batch import Batch
+from .many_runs import Ending, solve_starts
+from .problem import Problem, Solution
+from .replay import ACCURACY, replayed
 
 STRIDE = 0.5
 """Time [s] between the moments from which is predicted."""
@@ -33,6 +37,10 @@ MOST_FRAMES = 40
 FEWEST_FRAMES = 5
 STRENGTHS = (0.0, *np.logspace(0, 9, 28))
 """Model errors that are tried: by how much the variance of the oldest frame of a lead-in is larger than its noise."""
+EARLY = 0.6
+"""The part of a lead-in by which its end is predicted, to choose the prior of the velocities."""
+RATIOS = (0.0, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
+"""Strengths of that prior, in multiples of 1 / median deviation of the velocities: from none to their mean itself."""
 LEAST_NOISE = 1e-6
 """Lower limit of the noise [m, rad], so that a recording without noise has finite weights."""
 
@@ -139,20 +147,24 @@ def frame_noise(pose: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
 def predicted(model: Model, windows: Sequence[PredictionWindow]) -> list[Float[np.ndarray, "h 3"]]:
     """What `model` predicts at the horizons of each of `windows` that were measured: poses (h, 3).
 
-    The state at the end of a lead-in is that of a simulation fitted to it. Where the model leaves more than noise, its
-    error grows with time: the variance of a frame of age a is taken as noise^2 (1 + c (a / lead)^3), that of a random
-    acceleration, with the least c of `STRENGTHS` under which no more than noise is left.
+    The state at the end of a lead-in is that of a simulation fitted to it, with the weights of `LeadIn.settled` and the
+    prior of `prior_strength`: many vehicles soon move as their commands say, whatever their velocities were, so the
+    mean of the start velocities is what they are after `HISTORY` seconds from rest under the commands before.
     """
     problem = Problem.of(model, [_lead_of(w) for w in windows], Noise(jnp.ones(()), jnp.ones(()), source="none"), (), 1)
     noise = np.stack([w.noise for w in windows])[:, None, :]
     measured = np.asarray(problem.batch.weight) > 0
     problem = _weighted(problem, np.where(measured, 1 / noise, 0.0))
-    all_windows = range(len(windows))
-    equal_weights = problem.fit({}, (), all_windows)
-    factor = _older_counts_less(problem, equal_weights, measured)
+    fitted = problem.fit({}, (), range(len(windows)))
+    mean = _start_under_commands(problem, fitted.start)
+    lead_ins = _lead_ins(problem, fitted, mean)
+    strength = prior_strength([*lead_ins.values()])
+    factor = np.ones(measured.shape[:2])
+    for k, lead_in in lead_ins.items():
+        factor[k, measured[k, :, 0]] = lead_in.settled(strength)[1]
     problem = _weighted(problem, np.where(measured, factor[..., None] / noise, 0.0))
-    aged_weights = problem.fit({}, (), all_windows, equal_weights.start)
-    poses = replayed(model, [w.run for w in windows], np.asarray(aged_weights.start))
+    starts = _starts_under_prior(problem, fitted.start, mean, strength)
+    poses = replayed(model, [w.run for w in windows], starts)
     return [pose[w.lead_frames + np.array(w.known)] for pose, w in zip(poses, windows, strict=True)]
 
 
@@ -166,26 +178,136 @@ def _weighted(problem: Problem, weight: np.ndarray) -> Problem:
     return eqx.tree_at(lambda p: p.batch.weight, problem, jnp.asarray(weight))
 
 
-def _older_counts_less(problem: Problem, equal_weights, measured: np.ndarray) -> Float[np.ndarray, "R n"]:
-    """1 / sqrt(1 + c (a / lead)^3) of every frame, a its age, by the linear problem at `equal_weights`."""
-    times = np.asarray(problem.batch.times)
-    factor = np.ones(times.shape)
-    for k in range(len(times)):
-        frames = np.flatnonzero(measured[k, :, 0])
-        age = times[k, frames[-1]] - times[k, frames]
-        share = (age / max(age[0], 1e-9)) ** 3
-        r = np.asarray(equal_weights.linearised.residual[k])[frames]
-        J = np.asarray(equal_weights.linearised.jacobian[k])[frames][..., 1:]
-        if not (np.isfinite(r).all() and np.isfinite(J).all()):
-            continue
-        for c in STRENGTHS:
-            factor[k, frames] = 1 / np.sqrt(1 + c * share)
-            w = np.repeat(factor[k, frames], 3)
-            A, b = J.reshape(len(w), -1) * w[:, None], r.reshape(-1) * w
-            left = b - A @ np.linalg.lstsq(A, b, rcond=1e-10)[0]
-            if (left**2).sum() <= max(len(w) - np.linalg.matrix_rank(A), 1):
-                break
-    return factor
+class LeadIn(NamedTuple):
+    """The linear problem of one lead-in of n frames at a start state of S numbers: `age` (n,) [s] of its frames,
+    `residual` (n, 3) and `jacobian` (n, 3, S) in multiples of the noise, and `deviation` (S,) of the start state from
+    the mean of its prior."""
+
+    age: Float[np.ndarray, " n"]
+    residual: Float[np.ndarray, "n 3"]
+    jacobian: Float[np.ndarray, "n 3 S"]
+    deviation: Float[np.ndarray, " S"]
+
+    def of(self, frames: np.ndarray) -> "LeadIn":
+        """The same with these `frames` alone."""
+        age = self.age[frames]
+        return LeadIn(age - age[-1], self.residual[frames], self.jacobian[frames], self.deviation)
+
+    def settled(self, strength: Float[np.ndarray, " S"]) -> tuple[np.ndarray, np.ndarray]:
+        """The step (S,) of the start state under a prior with 1 / standard deviation `strength` (S,), and the factors
+        (n,) of the weights of the frames.
+
+        Where the model leaves more than noise, its error grows with time: the variance of a frame of age a is taken as
+        noise^2 (1 + c (a / lead)^3), that of a random acceleration, with the least c of `STRENGTHS` under which no more
+        than noise is left.
+        """
+        share = (self.age / max(self.age[0], 1e-9)) ** 3
+
+        def under(c: float) -> tuple[np.ndarray, np.ndarray, bool]:
+            factor = 1 / np.sqrt(1 + c * share)
+            weight = np.repeat(factor, 3)
+            rows, off = self.jacobian.reshape(len(weight), -1) * weight[:, None], self.residual.reshape(-1) * weight
+            A, b = np.concatenate([rows, np.diag(strength)]), np.concatenate([off, strength * self.deviation])
+            step = -np.linalg.lstsq(A, b, rcond=1e-10)[0]
+            left = off + rows @ step
+            return step, factor, bool((left**2).sum() <= max(len(left) - np.linalg.matrix_rank(rows), 1))
+
+        least = bisect.bisect_left(STRENGTHS, True, key=lambda c: under(c)[2])
+        return under(STRENGTHS[min(least, len(STRENGTHS) - 1)])[:2]
+
+
+def prior_strength(lead_ins: Sequence[LeadIn]) -> Float[np.ndarray, " S"]:
+    """1 / standard deviation (S,) of the prior of the start velocities, zero where it does not help.
+
+    Each of `lead_ins` is predicted by its first `EARLY` alone; the last frames tell the error q, in multiples of the
+    noise. The strength, a multiple `RATIOS` of 1 / median deviation for each velocity, is the one of least
+    sum of ln(1 + q^2 / s^2), with s^2 the median of q^2 without prior.
+    """
+    parts = [(one.of(early), one.of(~early)) for one in lead_ins if 3 <= (early := _early(one)).sum() < len(early)]
+    if not parts:
+        return np.zeros(6)
+    unit = np.median([abs(one.deviation) for one, _ in parts], axis=0)
+    unit = np.divide(1.0, unit, out=np.zeros_like(unit), where=unit > 0)
+
+    def late_error(ratio: np.ndarray) -> Float[np.ndarray, " R"]:
+        steps = [early.settled(ratio * unit)[0] for early, _ in parts]
+        off = (late.residual + late.jacobian @ step for step, (_, late) in zip(steps, parts, strict=True))
+        return np.array([(q**2).mean() for q in off])
+
+    best, without = np.zeros(len(unit)), late_error(np.zeros(len(unit)))
+    scale = max(float(np.median(without)), LEAST_NOISE)
+
+    def cost(ratio: np.ndarray) -> float:
+        return float(np.log1p(late_error(ratio) / scale).sum())
+
+    # All velocities together first: one alone may not help.
+    best = min((np.full(len(unit), ratio) for ratio in RATIOS), key=cost)
+    for k in np.flatnonzero(unit):
+        trials = [np.where(np.arange(len(unit)) == k, ratio, best) for ratio in RATIOS]
+        best = min(trials, key=cost)
+    return best * unit
+
+
+def _early(lead_in: LeadIn) -> np.ndarray:
+    return lead_in.age >= (1 - EARLY) * lead_in.age[0]
+
+
+def _lead_ins(problem: Problem, fitted: Solution, mean: Float[np.ndarray, "R S"]) -> dict[int, LeadIn]:
+    """The lead-ins by number at the optimum `fitted`, without those that cannot be simulated there."""
+    residual, jacobian = (np.asarray(part) for part in fitted.linearised)
+    times, measured = np.asarray(problem.batch.times), np.asarray(problem.batch.weight)[..., 0] > 0
+    S = mean.shape[1]
+    lead_ins = {}
+    for k, frames in enumerate(measured):
+        r, J, t = residual[k][frames], jacobian[k][frames][..., -S:], times[k][frames]
+        if np.isfinite(r).all() and np.isfinite(J).all():
+            lead_ins[k] = LeadIn(t[-1] - t, r, J, fitted.start[k] - mean[k])
+    return lead_ins
+
+
+def _start_under_commands(problem: Problem, start: Float[np.ndarray, "R S"]) -> Float[np.ndarray, "R S"]:
+    """`start` with the velocities of the model after `HISTORY` seconds from rest under the commands, where it has any
+    to estimate."""
+    if start.shape[1] < 6:
+        return start
+    velocities = np.asarray(_velocities_under_commands(problem.model, problem.batch))
+    known = np.isfinite(velocities) & (np.asarray(problem.batch.free_start)[:, 3:] > 0)
+    return np.concatenate([start[:, :3], np.where(known, velocities, start[:, 3:])], axis=1)
+
+
+@eqx.filter_jit
+def _velocities_under_commands(model: Model, runs: Batch) -> Float[Array, "R 3"]:
+    """The velocities (R, 3) at the first frame of every run, from rest `HISTORY` seconds before; NaN where the model
+    has fewer or cannot be simulated."""
+
+    def settled(times, gait, payload, codes):
+        begins = jnp.stack([times[0] - HISTORY, times[0]])
+        moved = simulate(model.in_run(payload, codes), gait, begins, jnp.zeros(6), accuracy=ACCURACY, throw=False)
+        velocities = moved.state[0][3:6]
+        if len(velocities) < 3:
+            return jnp.full(3, jnp.nan)
+        return jnp.where(moved.finished, jnp.stack([v[-1] for v in velocities]), jnp.nan)
+
+    return jax.lax.map(lambda run: settled(*run), (runs.times, runs.gait, runs.payload, runs.codes))
+
+
+def _starts_under_prior(
+    problem: Problem, start: np.ndarray, mean: np.ndarray, strength: np.ndarray
+) -> Float[np.ndarray, "R S"]:
+    """The start states (R, S) of least chi^2 + |strength (start - mean)|^2, from `start`."""
+    S = start.shape[1]
+    below = np.diag(strength[:S])
+
+    def with_prior(steps: np.ndarray, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        linearised = problem.evaluate(problem.at({}, (), start + steps), numbers.tolist())
+        r, J = (np.asarray(part)[numbers].reshape(len(numbers), -1, *part.shape[3:]) for part in linearised)
+        off = (start + steps - mean)[numbers] * strength[:S]
+        rows = np.broadcast_to(below, (len(numbers), S, S))
+        return np.concatenate([r, off], axis=1), np.concatenate([J[..., -S:], rows], axis=1)
+
+    samples = int((np.asarray(problem.batch.weight) > 0).sum())
+    free = np.asarray(problem.batch.free_start)
+    return start + free * solve_starts(with_prior, lambda parts: parts, free, 0, Ending(0.05, 0.0, samples, 60)).starts
 
 
 def prediction_errors(
