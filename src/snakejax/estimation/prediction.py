@@ -234,8 +234,7 @@ def prior_strength(lead_ins: Sequence[LeadIn]) -> Float[np.ndarray, " S"]:
         off = (late.residual + late.jacobian @ step for step, (_, late) in zip(steps, parts, strict=True))
         return np.array([(q**2).mean() for q in off])
 
-    best, without = np.zeros(len(unit)), late_error(np.zeros(len(unit)))
-    scale = max(float(np.median(without)), LEAST_NOISE)
+    scale = max(float(np.median(late_error(np.zeros(len(unit))))), LEAST_NOISE)
 
     def cost(ratio: np.ndarray) -> float:
         return float(np.log1p(late_error(ratio) / scale).sum())
@@ -268,8 +267,6 @@ def _lead_ins(problem: Problem, fitted: Solution, mean: Float[np.ndarray, "R S"]
 def _start_under_commands(problem: Problem, start: Float[np.ndarray, "R S"]) -> Float[np.ndarray, "R S"]:
     """`start` with the velocities of the model after `HISTORY` seconds from rest under the commands, where it has any
     to estimate."""
-    if start.shape[1] < 6:
-        return start
     velocities = np.asarray(_velocities_under_commands(problem.model, problem.batch))
     known = np.isfinite(velocities) & (np.asarray(problem.batch.free_start)[:, 3:] > 0)
     return np.concatenate([start[:, :3], np.where(known, velocities, start[:, 3:])], axis=1)
@@ -296,12 +293,12 @@ def _starts_under_prior(
 ) -> Float[np.ndarray, "R S"]:
     """The start states (R, S) of least chi^2 + |strength (start - mean)|^2, from `start`."""
     S = start.shape[1]
-    below = np.diag(strength[:S])
+    below = np.diag(strength)
 
     def with_prior(steps: np.ndarray, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         linearised = problem.evaluate(problem.at({}, (), start + steps), numbers.tolist())
         r, J = (np.asarray(part)[numbers].reshape(len(numbers), -1, *part.shape[3:]) for part in linearised)
-        off = (start + steps - mean)[numbers] * strength[:S]
+        off = (start + steps - mean)[numbers] * strength
         rows = np.broadcast_to(below, (len(numbers), S, S))
         return np.concatenate([r, off], axis=1), np.concatenate([J[..., -S:], rows], axis=1)
 
