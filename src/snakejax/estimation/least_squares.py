@@ -198,8 +198,9 @@ def solve(
 
 
 def evaluate(model: Model, at: Variables, batch: Batch, runs: list[int], accuracy: Accuracy) -> Linearised:
-    """Residuals and Jacobian at `at`, by the same compiled program as `solve`."""
-    if len(runs) > MANY:
+    """Residuals and Jacobian at `at`: of a batch of few runs by the same compiled program as `solve`, which has the
+    start states of the whole batch as variables; of a batch of many by one without them, however few of `runs`."""
+    if batch.start.shape[0] > MANY:
         moved = narrowed(at)
         kept = moved.directions.shape[0]
         linearised = _in_threads(model, moved, batch, runs, accuracy, np.zeros(kept), np.zeros(batch.start.shape))
