@@ -7,11 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from snakejax.dynamics.inputs import Input, Inputs
+from snakejax.dynamics.inputs import Inputs
 from snakejax.dynamics.model import Model, no_traction
 from snakejax.dynamics.multibody import kinetic_energy
 from snakejax.dynamics.signals import Joint, Sines
 from snakejax.dynamics.tyres import Pacejka
+from snakejax.dynamics.vehicle_input import Input
 from snakejax.simulation.integrate import Accuracy, simulate
 from snakejax.vehicles.roller_racer import ROLLER_RACER, RollerRacer
 from snakejax.vehicles.skid_steer import HUSKY, SkidSteer

@@ -9,7 +9,6 @@ from .contact import Wheel as Wheel
 from .contact import slip_angle as slip_angle
 from .inputs import AbstractInputs as AbstractInputs
 from .inputs import Gait as Gait
-from .inputs import Input as Input
 from .inputs import Inputs as Inputs
 from .model import Model as Model
 from .observation import CHANNELS as CHANNELS
@@ -44,3 +43,4 @@ from .vehicle import Placement as Placement
 from .vehicle import RigidVehicle as RigidVehicle
 from .vehicle import Stroke as Stroke
 from .vehicle import Wheelset as Wheelset
+from .vehicle_input import Input as Input

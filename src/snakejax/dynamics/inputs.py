@@ -1,9 +1,9 @@
-"""Inputs of a run: what a vehicle takes, by name, and the signals of one run."""
+"""The signals of a run by the names of the inputs of its vehicle."""
 
 import abc
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, Literal, NamedTuple, Self, TypeVar
+from typing import Any, Self, TypeVar
 
 import equinox as eqx
 import jax
@@ -12,29 +12,6 @@ import jax.numpy as jnp
 from snakejax.core.parameter import Scalar
 
 from .signals import AbstractSignal, Joint, Logged
-
-INPUT_UNITS = {"angle": "rad", "speed": "m/s", "torque": "N m", "command": "-"}
-"""Unit of an input of each kind."""
-FOLLOWS_OPPOSITE = "-"
-"""First character of `Input.follows` where the input that stands in is taken with the opposite sign."""
-
-
-class Input(NamedTuple):
-    """One input of a vehicle: an `angle` prescribes a joint, a `speed` the rim of a wheel; a `command` is raw.
-
-    `name`: key in case.toml and column of a log; `label`: the word for it in messages and in names of effects;
-    `follows`: the input that stands in where it is not given, as "-phi".
-    """
-
-    name: str
-    kind: Literal["angle", "speed", "torque", "command"]
-    label: str
-    follows: str | None = None
-
-    @property
-    def unit(self) -> str:
-        """Its unit."""
-        return INPUT_UNITS[self.kind]
 
 
 class AbstractInputs(eqx.Module):

@@ -10,8 +10,9 @@ import jax.numpy as jnp
 from snakejax.core.parameter import Parametrised, Scalar
 
 from .constants import GRAVITY
-from .inputs import AbstractInputs, Input, Inputs
+from .inputs import AbstractInputs, Inputs
 from .signals import AbstractSignal, Joint
+from .vehicle_input import Input
 
 if TYPE_CHECKING:
     from .constraints import AbstractConstraint

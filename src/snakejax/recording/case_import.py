@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from snakejax.core.errors import InputError
 from snakejax.core.toml_table import read_toml
-from snakejax.dynamics.inputs import Input
+from snakejax.dynamics.vehicle_input import Input
 from snakejax.vehicles.registry import VEHICLES, vehicle_class
 from snakejax.vehicles.snakeboard.board import Board
 

@@ -13,10 +13,11 @@ from jaxtyping import Float
 
 from snakejax.core.parameter import Domain
 from snakejax.core.toml_table import Table
-from snakejax.dynamics.inputs import FOLLOWS_OPPOSITE, AbstractInputs, Input
+from snakejax.dynamics.inputs import AbstractInputs
 from snakejax.dynamics.sampled_signals import HISTORY, Actuator, Held, samples_between
 from snakejax.dynamics.signals import AbstractSignal, Logged, Sines, Tracked
 from snakejax.dynamics.vehicle import AbstractVehicle
+from snakejax.dynamics.vehicle_input import FOLLOWS_OPPOSITE, Input
 
 from .quality import smoothed
 from .readers import InputLog, read_input_log

@@ -3,7 +3,7 @@
 import dataclasses
 
 from snakejax.core.toml_table import TO_FILL_IN
-from snakejax.dynamics.inputs import Input
+from snakejax.dynamics.vehicle_input import Input
 from snakejax.vehicles.registry import example_values, vehicle_class
 
 from .case_vehicle import fields_of, sd_keys_of

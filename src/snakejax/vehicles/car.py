@@ -9,9 +9,9 @@ from snakejax.core.parameter import Scalar, param
 from snakejax.dynamics.constants import GRAVITY
 from snakejax.dynamics.constraints import AbstractConstraint, NonSlipping, Slipping
 from snakejax.dynamics.contact import Motion
-from snakejax.dynamics.inputs import Input
 from snakejax.dynamics.signals import Joint
 from snakejax.dynamics.vehicle import Angles, Joints, Placement, RigidVehicle, Stroke, Wheelset, wheels_across
+from snakejax.dynamics.vehicle_input import Input
 
 DEAD_BAND_WIDTH = 0.01
 """Width of the smooth edge of the dead band, in units of the command."""

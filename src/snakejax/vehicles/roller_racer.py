@@ -7,8 +7,8 @@ import equinox as eqx
 from snakejax.core.fast_math import sine_cosine
 from snakejax.core.parameter import Scalar, param
 from snakejax.dynamics.constraints import AbstractConstraint, NonSlipping, Slipping
-from snakejax.dynamics.inputs import Input
 from snakejax.dynamics.vehicle import AbstractVehicle, Angles, Body, Placement, Stroke, Wheelset, axle_outline
+from snakejax.dynamics.vehicle_input import Input
 
 
 class RollerRacer(AbstractVehicle):

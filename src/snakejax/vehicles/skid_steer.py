@@ -6,10 +6,10 @@ import equinox as eqx
 
 from snakejax.core.parameter import Scalar, param
 from snakejax.dynamics.constraints import AbstractConstraint, NonSlipping, Slipping
-from snakejax.dynamics.inputs import Input
 from snakejax.dynamics.multibody import Phase, Vector
 from snakejax.dynamics.signals import Joint
 from snakejax.dynamics.vehicle import AbstractVehicle, Angles, Joints, Placement, RigidVehicle, Stroke, Wheelset
+from snakejax.dynamics.vehicle_input import Input
 
 
 class DifferentialDrive(NonSlipping):

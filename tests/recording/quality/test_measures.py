@@ -15,7 +15,7 @@ from snakejax.dynamics.tyres import Rayleigh
 from snakejax.recording.quality import inspect
 from snakejax.recording.quality.frequency import TURN
 from snakejax.recording.quality.measures import by_motion, by_range
-from snakejax.recording.quality.push import push, pushes, together
+from snakejax.recording.quality.push import RunMotion, motions, push, pushes, together
 from snakejax.vehicles.snakeboard.paper_examples import PRESETS, preset
 
 KINDS = ("frequency_unit", "board_measure")
@@ -53,7 +53,7 @@ def test_no_recording_gives_a_false_alarm(where) -> None:
     for folder in sorted(folders):
         case = load_case(folder)
         assert not set(KINDS) & {f.kind for f in inspect(case).findings}
-        seen = together(pushes(case.runs, case.board))
+        seen = together(pushes(motions(case.runs), case.board))
         assert seen is not None
         yaw, rotor = seen.best()
         # Effects are hidden in these: the push tells both parts all the same.
@@ -98,7 +98,9 @@ def test_the_push_tells_the_measures_of_any_board(mass, length, constraint) -> N
     for tyre in (Pacejka(8.0, 1.4, 0.8 * load * length, 0.0), Rayleigh(3.0 * load)):
         for gait in (CRAB, GAIT):
             pose = simulate(Model(board, tyre, constraint), gait, times).pose
-            seen = push(Run("made", "train", times, pose, gait), wrong)
+            motion = RunMotion.of(Run("made", "train", times, pose, gait))
+            assert motion is not None
+            seen = push(motion, wrong)
             assert seen is not None
             yaw, rotor = seen.best()
             assert yaw == pytest.approx(1.5, rel=0.02)

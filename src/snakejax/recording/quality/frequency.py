@@ -22,7 +22,7 @@ from ..run import Run
 from .conventions import evidence_in
 from .finding import Finding
 from .joint_motion import JointMotion, angles, joint_motion
-from .push import pushes, together
+from .push import RunMotion, motions, pushes, together
 
 TURN = 2 * np.pi
 BELIEVED = 0.25
@@ -50,7 +50,8 @@ def frequencies(runs: Sequence[Run], board: Board) -> list[Finding]:
     besides = [(run, motion) for run in runs if _periodic(run) and (motion := joint_motion(run, 0.0)) is not None]
     moving = [any(_tones(getattr(run.gait, name)).size for run, _ in besides) for name in ("phi", "psi")]
     paces = itertools.product(*((1.0, TURN, 1 / TURN) if moves else (1.0,) for moves in moving))
-    tried = [_tried(besides, board, pace) for pace in paces] if besides else []
+    seen = motions([run for run, _ in besides])
+    tried = [_tried(besides, seen, board, pace) for pace in paces] if besides else []
     if not tried or (given := tried[0]) is None:
         return []
     best = min((one for one in tried if one is not None), key=lambda one: one.yaw * one.push)
@@ -73,16 +74,16 @@ def _finding(run: Run, motion: JointMotion, pace: Pace) -> Finding:
     return Finding("frequency_unit", what, remedy, 0.0, 0.0, size=TURN, severity="refused")
 
 
-def _tried(besides: Sequence[tuple[Run, JointMotion]], board: Board, pace: Pace) -> _Tried | None:
-    runs = [dataclasses.replace(run, gait=_at_pace(run.gait, pace)) for run, _ in besides]
-    joints = [
-        (angles(as_gait(run.gait).phi, motion.fine), angles(as_gait(run.gait).psi, motion.fine))
-        for run, (_, motion) in zip(runs, besides, strict=True)
-    ]
-    evidence = [
-        evidence_in(motion._replace(phi=phi, psi=psi)) for (_, motion), (phi, psi) in zip(besides, joints, strict=True)
-    ]
-    push, square = together(pushes(runs, board)), sum(one.square for one in evidence)
+def _tried(
+    besides: Sequence[tuple[Run, JointMotion]], seen: Sequence[RunMotion], board: Board, pace: Pace
+) -> _Tried | None:
+    evidence = []
+    for run, motion in besides:
+        gait = _at_pace(as_gait(run.gait), pace)
+        phi, psi = (angles(signal, motion.fine) for signal in (gait.phi, gait.psi))
+        evidence.append(evidence_in(motion._replace(phi=phi, psi=psi)))
+    push = together(pushes([motion._replace(gait=_at_pace(motion.gait, pace)) for motion in seen], board))
+    square = sum(one.square for one in evidence)
     if push is None or not square > 0:
         return None
     left = np.array([one.left for one in evidence])

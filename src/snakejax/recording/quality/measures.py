@@ -14,7 +14,7 @@ from snakejax.vehicles.snakeboard.board import Board
 
 from ..run import Run
 from .finding import Finding
-from .push import Push, pushes, together
+from .push import Push, motions, pushes, together
 
 UNITS = {"kg": "kg", "m": "m", "kgm2": "kg m^2"}
 """Units as messages write them, by the last word of a key of case.toml."""
@@ -63,11 +63,14 @@ def measures(runs: Sequence[Run], board: Board) -> list[Finding]:
 def by_motion(runs: Sequence[Run], board: Board) -> list[Finding]:
     """A measure of `board` with another value of which the push in `runs` is explained far better."""
     now = 1.0, float(board.rotor_inertia)
-    pooled = together(pushes(runs, board))
+    of_runs = motions(runs)
+    pooled = together(pushes(of_runs, board))
     if pooled is None or pooled.deviations(_left(pooled, *now), _left(pooled, *pooled.best())) < CERTAIN:
         return []
     tried = [
-        (all_runs, each) for lag in LAGS if (all_runs := together(each := pushes(runs, board, float(lag)))) is not None
+        (all_runs, each)
+        for lag in LAGS
+        if (all_runs := together(each := pushes(of_runs, board, float(lag)))) is not None
     ]
     given = min(_left(all_runs, *now) for all_runs, _ in tried)
     pooled, each = min(tried, key=lambda pair: _left(pair[0], *pair[0].best()))

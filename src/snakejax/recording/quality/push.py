@@ -9,13 +9,13 @@ with a_x, a_y the acceleration of the middle along and across the board, and r i
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from snakejax.core.local_polynomials import derivative, derivative_gain, window_of
-from snakejax.dynamics.inputs import as_gait
+from snakejax.dynamics.inputs import Gait, as_gait
 from snakejax.vehicles.snakeboard.board import Board
 
 from ..run import Run
@@ -73,42 +73,81 @@ class Push(NamedTuple):
         return float(np.sqrt(self.independent * max(more - less, 0.0) / max(less, 1e-6 * self.square)))
 
 
-def push(run: Run, board: Board, lag: float = 0.0) -> Push | None:
-    """What `run` shows of the push, where its joints do `lag` [s] earlier what they are said to; None where too little
-    was seen.
+class RunMotion(NamedTuple):
+    """What cameras saw of a run, whatever its joints did, at steady `times` [s], `frame` [s] apart.
+
+    Speed `u` [m/s] along the heading; acceleration [m/s^2] `along` it and `across`, to its left; the yaw acceleration
+    `ar` [rad/s^2], and the variance `noise` of it that is noise; `c`, `s`: cosine and sine of the heading; `known`:
+    where no long pause of the frames is near. `gait` and `payload` are those of the run.
     """
-    steady = steady_poses(run)
-    if steady is None:
-        return None
-    times, pose = steady
-    frame = float(times[1] - times[0])
-    gait = as_gait(run.gait)
-    front, turned = (angles(signal, times + lag) for signal in (gait.phi, gait.psi))
-    back = -front if gait.phi_back is None else angles(gait.phi_back, times + lag)
-    kept = _known(PoseSeries.of(run), times) & (np.abs(front) < STEEP) & (np.abs(back) < STEEP)
+
+    times: Float[np.ndarray, " n"]
+    frame: float
+    u: Float[np.ndarray, " n"]
+    along: Float[np.ndarray, " n"]
+    across: Float[np.ndarray, " n"]
+    ar: Float[np.ndarray, " n"]
+    noise: float
+    c: Float[np.ndarray, " n"]
+    s: Float[np.ndarray, " n"]
+    known: Bool[np.ndarray, " n"]
+    gait: Gait
+    payload: Float[np.ndarray, " 2"]
+
+    @classmethod
+    def of(cls, run: Run) -> Self | None:
+        """That of `run`; None where too little was seen."""
+        steady = steady_poses(run)
+        if steady is None:
+            return None
+        times, pose = steady
+        frame = float(times[1] - times[0])
+        window = window_of(WIDTH, frame)
+        if len(times) < window:
+            return None
+        (vx, vy, _), (ax, ay, ar) = (derivative(pose, frame, window, order).T for order in (1, 2))
+        theta = derivative(pose[:, 2:], frame, window, 0)[:, 0]
+        c, s = np.cos(theta), np.sin(theta)
+        along, across = ax * c + ay * s, ay * c - ax * s
+        series = PoseSeries.of(run)
+        noise, known = _heading_noise(series, frame), _known(series, times)
+        gait, payload = as_gait(run.gait), np.asarray(run.payload)
+        return cls(times, frame, vx * c + vy * s, along, across, ar, noise, c, s, known, gait, payload)
+
+
+def push(motion: RunMotion, board: Board, lag: float = 0.0) -> Push | None:
+    """What `motion` shows of the push, where its joints do `lag` [s] earlier what they are said to; None where too
+    little was seen.
+    """
+    gait, frame, u = motion.gait, motion.frame, motion.u
+    front, turned = (angles(signal, motion.times + lag) for signal in (gait.phi, gait.psi))
+    back = -front if gait.phi_back is None else angles(gait.phi_back, motion.times + lag)
+    kept = motion.known & (np.abs(front) < STEEP) & (np.abs(back) < STEEP)
     window = window_of(WIDTH, frame)
     if kept.sum() < 2 * window:
         return None
     front, back = (np.tan(np.clip(angle, -STEEPEST, STEEPEST)) for angle in (front, back))
     W, D = (front + back) / 2, (front - back) / 2
-    with_payload = board.with_payload(*np.asarray(run.payload))
+    with_payload = board.with_payload(*motion.payload)
     m, L, total = (float(part) for part in (with_payload.mass, with_payload.half_length, with_payload.total_inertia))
-    (vx, vy, _), (ax, ay, ar) = (derivative(pose, frame, window, order).T for order in (1, 2))
-    theta = derivative(pose[:, 2:], frame, window, 0)[:, 0]
-    c, s = np.cos(theta), np.sin(theta)
-    u = vx * c + vy * s
     spun = derivative(turned[:, None], frame, window, 2)[:, 0]
-    parts = [ax * c + ay * s + W * (ay * c - ax * s), -D * ar * total / (m * L), -D * spun / (m * L)]
+    parts = [motion.along + W * motion.across, -D * motion.ar * total / (m * L), -D * spun / (m * L)]
     columns = np.stack(parts, axis=1)[kept]
-    nuisance, _ = np.linalg.qr(np.stack([np.ones_like(u), u, np.tanh(u / SLOWLY), c, s], axis=1)[kept])
+    constants = [np.ones_like(u), u, np.tanh(u / SLOWLY), motion.c, motion.s]
+    nuisance, _ = np.linalg.qr(np.stack(constants, axis=1)[kept])
     columns = columns - nuisance @ (nuisance.T @ columns)
-    noise = _heading_noise(run, frame) * float(((D[kept] * total / (m * L)) ** 2).sum())
+    noise = motion.noise * float(((D[kept] * total / (m * L)) ** 2).sum())
     return Push(columns.T @ columns, noise, float(kept.sum()) * frame / WIDTH)
 
 
-def pushes(runs: Sequence[Run], board: Board, lag: float = 0.0) -> list[Push]:
-    """`push` of those of the `runs` that show any."""
-    return [one for run in runs if (one := push(run, board, lag)) is not None]
+def motions(runs: Sequence[Run]) -> list[RunMotion]:
+    """`RunMotion` of those of the `runs` that were seen for long enough."""
+    return [motion for run in runs if (motion := RunMotion.of(run)) is not None]
+
+
+def pushes(of_runs: Sequence[RunMotion], board: Board, lag: float = 0.0) -> list[Push]:
+    """`push` of those of the runs that show any."""
+    return [one for motion in of_runs if (one := push(motion, board, lag)) is not None]
 
 
 def together(pushes_of_runs: Sequence[Push]) -> Push | None:
@@ -120,9 +159,9 @@ def together(pushes_of_runs: Sequence[Push]) -> Push | None:
     return pooled if pooled.square > 0 and pooled.noise < NOISY * pooled.gram[YAW, YAW] else None
 
 
-def _heading_noise(run: Run, frame: float) -> float:
+def _heading_noise(track: PoseSeries, frame: float) -> float:
     """The variance that noise of the heading brings into the yaw acceleration."""
-    present = PoseSeries.of(run).complete()
+    present = track.complete()
     return float(
         scale(third_difference(present.times, present.pose))[2] ** 2
         * derivative_gain(frame, window_of(WIDTH, frame), 2)

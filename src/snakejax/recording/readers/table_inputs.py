@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from snakejax.core.errors import InputError, at_line, instead_of
 from snakejax.core.text_files import read_text
-from snakejax.dynamics.inputs import Input
+from snakejax.dynamics.vehicle_input import Input
 
 from .cells import is_blank, is_comment, separator_of, split
 from .input_log import SUFFIX

@@ -8,9 +8,10 @@ import equinox as eqx
 
 from snakejax.core.parameter import Scalar, param
 from snakejax.dynamics.constraints import AbstractConstraint
-from snakejax.dynamics.inputs import Gait, Input
+from snakejax.dynamics.inputs import Gait
 from snakejax.dynamics.signals import AbstractSignal, Joint
 from snakejax.dynamics.vehicle import AbstractVehicle, Angles, Body, Joints, Placement, Stroke, Wheelset, axle_outline
+from snakejax.dynamics.vehicle_input import Input
 
 from .closed_form import NonSlippingBoard, SlippingBoard
 from .paper_constraints import Coupled, Printed
