@@ -22,7 +22,7 @@ from snakejax.recording.run import Noise, Run
 from snakejax.simulation.integrate import Accuracy
 
 from .fit_journal import kept_fit
-from .linearisation import Linearised, Variables, domains_of, first, linearise, narrowed, widened
+from .linearisation import LANES, Linearised, Variables, domains_of, first, linearise
 from .problem import Problem, dependence_of
 
 _linearise = eqx.filter_jit(linearise)
@@ -33,6 +33,9 @@ DELAY_STEP = 0.02
 """Step [s] of the difference quotient by a delay: commands are held for some 0.1 s."""
 LENGTH = 1.5
 """Length of a window [s]: long enough for an effect to show, short enough for residuals nearly linear in it."""
+BLOCK = 2 * LANES
+"""Directions, start state and all, of a block: it serves every choice of parameters, where one program for each number
+of them would take longer to compile than its fewer directions save."""
 THREADS = 2
 """Threads that linearise windows in parallel."""
 ENOUGH = 0.003
@@ -100,39 +103,20 @@ def linearise_windows(
 ) -> Linearised:
     """Residuals of `runs` and their Jacobian by the parameters `free` (default: all of `problem.names`) and the start.
 
-    `THREADS` threads share the runs. The column of a parameter that delays held commands is the central difference
-    quotient over `DELAY_STEP`.
+    `THREADS` threads share the runs. The columns are computed in blocks, by one program. The column of a
+    parameter that delays held commands is the central difference quotient over `DELAY_STEP`.
     """
-    P = len(problem.names)
-    width = P if free is None else problem.width
-    directions = np.eye(P)
-    if free is not None:
-        directions = np.zeros((width, P))
-        directions[range(len(free)), [problem.names.index(name) for name in free]] = 1.0
-    vector = np.array([values[name] for name in problem.names])
-    point = narrowed(
-        Variables(
-            problem.names, jnp.asarray(vector), jnp.asarray(directions), jnp.asarray(start), problem.batch.free_start
-        )
-    )
-    kept = point.directions.shape[0]
-
-    def linearise_share(part: Sequence[int]) -> Linearised:
-        linearised = _linearise(
-            problem.model,
-            point,
-            problem.batch,
-            *first(part, problem.batch),
-            jnp.zeros(kept),
-            jnp.zeros_like(problem.batch.start),
-            problem.accuracy,
-        )
-        return Linearised(*(np.asarray(leaf) for leaf in linearised))
-
-    with ThreadPoolExecutor(THREADS) as pool:
-        shares = list(pool.map(linearise_share, [list(runs)[k::THREADS] for k in range(THREADS)]))
-    together = Linearised(*(sum(parts[1:], parts[0]) for parts in zip(*shares, strict=True)))
-    linearised, columns = widened(together, width - kept, kept), problem.names if free is None else free
+    columns = problem.names if free is None else free
+    width = len(columns) if free is None else problem.width
+    size = _block_size(problem)
+    parts = [
+        _linearised_block(problem, values, start, runs, columns[k : k + size], size)
+        for k in range(0, max(len(columns), 1), size)
+    ]
+    by_columns = np.concatenate([part.jacobian[..., :size] for part in parts], axis=-1)[..., : len(columns)]
+    padded = np.pad(by_columns, [(0, 0)] * 3 + [(0, width - len(columns))])
+    by_start = parts[0].jacobian[..., size:]
+    linearised = Linearised(parts[0].residual, np.concatenate([padded, by_start], axis=-1))
     for name in (delay for delay in _delays(problem) if delay in columns):
         late, early = (
             linearise_windows(problem, {**values, name: values[name] + step}, start, runs, ()).residual
@@ -142,6 +126,43 @@ def linearise_windows(
             quotient = (late - early) / (2 * DELAY_STEP)
         linearised.jacobian[..., list(columns).index(name)] = np.where(np.isfinite(quotient), quotient, 0.0)
     return linearised
+
+
+def _block_size(problem: Problem) -> int:
+    """The number of parameters in a block: with the start state they fill `BLOCK` or the next multiple of `LANES`."""
+    depth = problem.batch.start.shape[1]
+    return max(BLOCK, -(-(depth + 1) // LANES) * LANES) - depth
+
+
+def _linearised_block(
+    problem: Problem,
+    values: Mapping[str, float],
+    start: np.ndarray,
+    runs: Sequence[int],
+    block: Sequence[str],
+    width: int,
+) -> Linearised:
+    """Residuals of `runs` and their Jacobian by the parameters `block`, in `width` columns, and the start."""
+    directions = np.zeros((width, len(problem.names)))
+    directions[range(len(block)), [problem.names.index(name) for name in block]] = 1.0
+    vector = jnp.asarray([values[name] for name in problem.names])
+    point = Variables(problem.names, vector, jnp.asarray(directions), jnp.asarray(start), problem.batch.free_start)
+
+    def linearise_share(part: Sequence[int]) -> Linearised:
+        linearised = _linearise(
+            problem.model,
+            point,
+            problem.batch,
+            *first(part, problem.batch),
+            jnp.zeros(width),
+            jnp.zeros_like(problem.batch.start),
+            problem.accuracy,
+        )
+        return Linearised(*(np.asarray(leaf) for leaf in linearised))
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        shares = list(pool.map(linearise_share, [list(runs)[k::THREADS] for k in range(THREADS)]))
+    return Linearised(*(sum(parts[1:], parts[0]) for parts in zip(*shares, strict=True)))
 
 
 class Windows(eqx.Module):
