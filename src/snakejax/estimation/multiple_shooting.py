@@ -23,6 +23,7 @@ from snakejax.simulation.integrate import Accuracy
 
 from .fit_journal import kept_fit
 from .linearisation import LANES, Linearised, Variables, domains_of, first, linearise
+from .many_runs import MANY
 from .problem import Problem, dependence_of
 
 _linearise = eqx.filter_jit(linearise)
@@ -131,7 +132,13 @@ def linearise_windows(
 def _block_size(problem: Problem) -> int:
     """The number of parameters in a block: with the start state they fill `BLOCK` or the next multiple of `LANES`."""
     depth = problem.batch.start.shape[1]
-    return max(BLOCK, -(-(depth + 1) // LANES) * LANES) - depth
+    size = max(BLOCK, -(-(depth + 1) // LANES) * LANES) - depth
+    return min(size, problem.width) if _are_whole(problem) else size
+
+
+def _are_whole(problem: Problem) -> bool:
+    """Whether the runs are few and whole: the program of their fits then linearises them too."""
+    return len(problem.runs) <= MANY and not any(run.cut_from for run in problem.runs)
 
 
 def _linearised_block(
@@ -143,22 +150,30 @@ def _linearised_block(
     width: int,
 ) -> Linearised:
     """Residuals of `runs` and their Jacobian by the parameters `block`, in `width` columns, and the start."""
-    directions = np.zeros((width, len(problem.names)))
-    directions[range(len(block)), [problem.names.index(name) for name in block]] = 1.0
-    vector = jnp.asarray([values[name] for name in problem.names])
-    point = Variables(problem.names, vector, jnp.asarray(directions), jnp.asarray(start), problem.batch.free_start)
+    if _are_whole(problem):
+        at = problem.at(values, block, start)
 
-    def linearise_share(part: Sequence[int]) -> Linearised:
-        linearised = _linearise(
-            problem.model,
-            point,
-            problem.batch,
-            *first(part, problem.batch),
-            jnp.zeros(width),
-            jnp.zeros_like(problem.batch.start),
-            problem.accuracy,
-        )
-        return Linearised(*(np.asarray(leaf) for leaf in linearised))
+        def linearise_share(part: Sequence[int]) -> Linearised:
+            linearised = problem.evaluate(at, part)
+            return linearised._replace(jacobian=np.delete(linearised.jacobian, range(width, problem.width), axis=-1))
+
+    else:
+        directions = np.zeros((width, len(problem.names)))
+        directions[range(len(block)), [problem.names.index(name) for name in block]] = 1.0
+        vector = jnp.asarray([values[name] for name in problem.names])
+        point = Variables(problem.names, vector, jnp.asarray(directions), jnp.asarray(start), problem.batch.free_start)
+
+        def linearise_share(part: Sequence[int]) -> Linearised:
+            linearised = _linearise(
+                problem.model,
+                point,
+                problem.batch,
+                *first(part, problem.batch),
+                jnp.zeros(width),
+                jnp.zeros_like(problem.batch.start),
+                problem.accuracy,
+            )
+            return Linearised(*(np.asarray(leaf) for leaf in linearised))
 
     with ThreadPoolExecutor(THREADS) as pool:
         shares = list(pool.map(linearise_share, [list(runs)[k::THREADS] for k in range(THREADS)]))
