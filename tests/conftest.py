@@ -20,18 +20,13 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 
-LONGEST = (
-    "test_studies",
-    "test_commands",
-    "test_discrimination",
-    "test_joint_logs",
-    "test_tuning_over_draws",
-    "test_tuning",
-    "test_rayleigh_match",
-)
+LONGEST = ("test_notebooks", "test_commands", "test_tuning", "test_fitting", "test_limiting_cases")
+"""The files that take longest, a minute and more each."""
 
-MOST_MEMORY = 3 << 30
-"""Memory [bytes] of a test process above which it drops its compiled programs."""
+MORE_MEMORY = 2 << 30
+"""Bytes by which a test process grows before it drops its compiled programs."""
+_memory = pytest.StashKey[int]()
+"""Memory [bytes] of the test process when it last dropped them: what the allocator keeps does not come back."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -48,13 +43,20 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _programs_that_others_left() -> Iterator[None]:
-    """Drop all compiled programs where they fill `MOST_MEMORY`: no file of tests needs those of the one before."""
+def _programs_that_others_left(pytestconfig: pytest.Config) -> Iterator[None]:
+    """Drop all compiled programs each time the process has grown by `MORE_MEMORY`: few files of tests need those of the
+    one before."""
     yield
-    statm = Path("/proc/self/statm")
-    if statm.is_file() and int(statm.read_text().split()[1]) * resource.getpagesize() > MOST_MEMORY:
+    if _resident() > pytestconfig.stash.setdefault(_memory, 0) + MORE_MEMORY:
         jax.clear_caches()
         gc.collect()
+        pytestconfig.stash[_memory] = _resident()
+
+
+def _resident() -> int:
+    """Memory [bytes] of this process; 0 where the system does not say."""
+    statm = Path("/proc/self/statm")
+    return int(statm.read_text().split()[1]) * resource.getpagesize() if statm.is_file() else 0
 
 
 @pytest.fixture(scope="session")

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.folders import DATA
+from jsonschema import Draft202012Validator
 from scipy.integrate import cumulative_simpson, solve_ivp
 from scipy.interpolate import CubicSpline
 
@@ -31,6 +32,7 @@ from snakejax.core.errors import InputError
 from snakejax.design import joint_log, spline, tune
 from snakejax.design.limits import peaks, slack, within
 from snakejax.design.tuning import sines
+from snakejax.present.as_json.schema import schema_of
 from snakejax.recording.readers import read_joint_log
 from snakejax.simulation import torques
 from snakejax.vehicles.snakeboard.board import TABLE_II
@@ -193,6 +195,7 @@ def test_what_the_json_says_is_what_an_independent_simulation_gives(told) -> Non
     assert found["objective"] > 1.2 * found["before"]["objective"]
     assert (folder / "tune.png").stat().st_size > 10_000
     assert f"phi = {found['gait']['phi']}" in (folder / "tune-gait.toml").read_text()
+    assert list(Draft202012Validator(schema_of("tune")).iter_errors(found)) == []
 
 
 @pytest.fixture(scope="module")

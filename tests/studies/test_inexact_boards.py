@@ -166,9 +166,8 @@ def test_a_wrong_constant_is_corrected_and_no_effect_stands_in_for_it() -> None:
         assert abs(estimate.value - true) < 3 * estimate.sd
 
 
-@pytest.mark.parametrize(
-    ("stated", "slope", "explained"), [pytest.param(0.248, 0.0, True, marks=pytest.mark.long), (0.25, 2e-3, False)]
-)
+@pytest.mark.long
+@pytest.mark.parametrize(("stated", "slope", "explained"), [(0.248, 0.0, True), (0.25, 2e-3, False)])
 def test_free_constants_explain_a_wrong_length_and_no_slope(stated: float, slope: float, explained: bool) -> None:
     """One effect may leave as little of an exact board whose half length is 2 mm off. It is not claimed then."""
     effects = {"ground_slope": LIBRARY["ground_slope"](sx=jnp.asarray(slope), sy=jnp.asarray(-slope))}

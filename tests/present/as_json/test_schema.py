@@ -52,10 +52,11 @@ RUNS = {
 
 
 def marks(command: str, arguments: tuple[Any, ...]) -> list[pytest.MarkDecorator]:
-    """How long a command takes: a designed run needs many simulations, a diagnosis several fits."""
-    if "information" in arguments or any(str(word).startswith("separate") for word in arguments):
+    """How long a command takes: a designed run needs many simulations, a diagnosis several fits. What tuning writes is
+    also checked where its numbers are (tests/design/test_tuning.py)."""
+    if command in ("tune", "design"):
         return [pytest.mark.long]
-    return [pytest.mark.slow] * (command in ("diagnose", "explain", "tune"))
+    return [pytest.mark.slow] * (command in ("diagnose", "explain"))
 
 
 @pytest.fixture(scope="module")

@@ -50,8 +50,8 @@ def frequencies(runs: Sequence[Run], board: Board) -> list[Finding]:
     besides = [(run, motion) for run in runs if _periodic(run) and (motion := joint_motion(run, 0.0)) is not None]
     moving = [any(_tones(getattr(run.gait, name)).size for run, _ in besides) for name in ("phi", "psi")]
     paces = itertools.product(*((1.0, TURN, 1 / TURN) if moves else (1.0,) for moves in moving))
-    seen = motions([run for run, _ in besides])
-    tried = [_tried(besides, seen, board, pace) for pace in paces] if besides else []
+    watched = motions([run for run, _ in besides])
+    tried = [_tried(besides, watched, board, pace) for pace in paces] if besides else []
     if not tried or (given := tried[0]) is None:
         return []
     best = min((one for one in tried if one is not None), key=lambda one: one.yaw * one.push)
@@ -75,14 +75,14 @@ def _finding(run: Run, motion: JointMotion, pace: Pace) -> Finding:
 
 
 def _tried(
-    besides: Sequence[tuple[Run, JointMotion]], seen: Sequence[RunMotion], board: Board, pace: Pace
+    besides: Sequence[tuple[Run, JointMotion]], watched: Sequence[RunMotion], board: Board, pace: Pace
 ) -> _Tried | None:
     evidence = []
     for run, motion in besides:
         gait = _at_pace(as_gait(run.gait), pace)
         phi, psi = (angles(signal, motion.fine) for signal in (gait.phi, gait.psi))
         evidence.append(evidence_in(motion._replace(phi=phi, psi=psi)))
-    push = together(pushes([motion._replace(gait=_at_pace(motion.gait, pace)) for motion in seen], board))
+    push = together(pushes([motion._replace(gait=_at_pace(motion.gait, pace)) for motion in watched], board))
     square = sum(one.square for one in evidence)
     if push is None or not square > 0:
         return None
