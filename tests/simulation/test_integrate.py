@@ -9,15 +9,20 @@ from helpers.reference_board import PACEJKA, Crab, Drag, Push, board_of, gait_of
 from jax.flatten_util import ravel_pytree
 from oracles import full_equations as full
 
-from snakejax.dynamics.inputs import Gait
+from snakejax.dynamics.axle_tyres import FrontRear
+from snakejax.dynamics.inputs import Gait, Inputs
 from snakejax.dynamics.model import Model, no_traction
+from snakejax.dynamics.sampled_signals import Held
 from snakejax.dynamics.signals import Sines, Tracked
 from snakejax.dynamics.tyres import Pacejka
 from snakejax.effects import ClockOffset, YawBias
 from snakejax.simulation.integrate import Accuracy, simulate
+from snakejax.vehicles.car import DART, Car
 from snakejax.vehicles.snakeboard.board import TABLE_II, Board
 
 STRUCTURES = ["coupled", "free", "ideal"]
+MOVING = (0.0, 0.0, 0.0, 1.2, 0.0, 0.3)
+"""A start at 1.2 m/s and 0.3 rad/s."""
 
 
 @pytest.mark.slow
@@ -141,3 +146,22 @@ def test_a_board_that_rests_at_time_0_rested_before_whatever_the_clocks(constrai
     expected = simulate(model, gait, times, start).pose
     found = simulate(model, gait, times, jnp.append(start, jnp.zeros(3)), resting=True).pose
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
+
+
+def test_a_car_under_way_has_a_derivative_by_the_clock_of_its_held_commands():
+    """The steps begin later with the run, and end at the jumps of the commands, which stay."""
+    random, at = np.random.default_rng(1), np.arange(0.0, 3.0, 0.1)
+    commands = {"steer": random.uniform(-0.3, 0.3, at.size), "drive": random.uniform(0.1, 0.5, at.size)}
+    inputs = Inputs({name: Held.of(at, values) for name, values in commands.items()})
+    tyre, times = Pacejka(4.0, 1.3, 3.0, 0.0), jnp.arange(0.5, 2.5, 0.02)
+    car = Model(Car(**DART, force_gain=20.0, speed_loss=2.0), FrontRear(tyre, tyre), "free")
+    how = Accuracy(rtol=1e-9, atol=1e-11, derivative="forward")
+
+    def pose(delay):
+        return simulate(car.add(clock_offset=ClockOffset(delay)), inputs, times, MOVING, accuracy=how).pose
+
+    delay, step = jnp.asarray(0.013), 1e-4
+    _, derivative = jax.jvp(pose, (delay,), (jnp.ones(()),))
+    quotient = (pose(delay + step) - pose(delay - step)) / (2 * step)
+    assert float(jnp.abs(quotient[-1]).max()) > 0.4
+    np.testing.assert_allclose(derivative, quotient, atol=3e-6)

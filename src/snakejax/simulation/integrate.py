@@ -122,6 +122,7 @@ def _integrate(
         gains = {"pcoeff": 0.2, "icoeff": 0.4, "safety": 0.8, "norm": _error_size(len(jax.tree.leaves(state[0])))}
         # The bound uses at most half of the steps; the others remain for the time in which the board moves.
         most = jnp.maximum(_stable_at_rest(rates, state, t0), 2 * (times[-1] - t0) / most_steps)
+        most = jax.lax.stop_gradient(most)
         controller = _RestBoundedPIDController(rtol=accuracy.rtol, atol=accuracy.atol, from_rest=most, **gains)
         dt0 = jnp.minimum(1e-3, most)
     else:
@@ -168,6 +169,9 @@ class _RestBoundedPIDController(diffrax.PIDController):
     At rest no step has an error, so steps would grow far beyond the stability limit: the state would stay at rest, but
     its derivatives would grow without bound. After a step that changes no state the next one is at most `from_rest`
     [s].
+
+    A step has no derivative: its end moves as its begin. Where a run begins later the first step to a jump of a command
+    is shorter by as much, and the steps after it would change by a multiple of that at each jump.
     """
 
     from_rest: Scalar = eqx.field(default_factory=lambda: jnp.asarray(jnp.inf))
@@ -179,6 +183,7 @@ class _RestBoundedPIDController(diffrax.PIDController):
         )
         same = [jnp.all(a == b) for a, b in zip(jax.tree.leaves(y0), jax.tree.leaves(y1_candidate), strict=True)]
         end = jnp.where(jnp.all(jnp.stack(same)), jnp.minimum(end, begin + self.from_rest), end)
+        end = jax.lax.stop_gradient(end) + (begin - jax.lax.stop_gradient(begin))
         return keep, begin, end, jumped, memory, result
 
 
