@@ -20,6 +20,7 @@ from snakejax.dynamics.model import Model, no_traction
 from snakejax.dynamics.signals import Sines, Tracked
 from snakejax.dynamics.tyres import Pacejka, Rayleigh
 from snakejax.effects import LongitudinalSlip
+from snakejax.estimation import fitting, initialisation
 from snakejax.estimation.fit_workspace import problem_of
 from snakejax.estimation.fitting import fit, fit_problem, fit_result, fitted_workspace
 from snakejax.estimation.initial_model import select_parameters, starting_model
@@ -315,6 +316,18 @@ def test_derivatives_that_are_not_those_of_the_simulation_are_noticed() -> None:
     for wrong in (1e12 * J, 1e4 * J, -1e4 * J):
         other = solution._replace(linearised=solution.linearised._replace(jacobian=wrong))
         assert inconsistent_derivative(problem, other, train) == ["tyre.D"]
+
+
+def test_a_fit_whose_derivatives_never_hold_has_values_and_no_errors(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The values are those at which it ended; what keeps them from having errors is said."""
+    problem, solution = problem_of(small()[2])
+    for module in (fitting, initialisation):
+        monkeypatch.setattr(module, "inconsistent_derivative", lambda *_: ["tyre.D"])
+    answer = fit_problem(problem, solution.free).result()
+    estimate = answer.estimates["tyre.D"]
+    assert answer.rough == ("tyre.D",) and estimate.sd is None
+    assert estimate.value == pytest.approx(solution.values["tyre.D"], rel=1e-3)
+    assert any("Hold one of them, as with --set D=VALUE" in advice for advice in answer.advice)
 
 
 def with_jacobian(solution: Solution, factor: float) -> Solution:

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from snakejax.core.errors import FitError, InputError
+from snakejax.core.errors import InputError
 from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
 from snakejax.dynamics.model import Model
 from snakejax.recording.run import Noise, Run
@@ -22,6 +22,7 @@ from .initialisation import (
     is_window,
     require_consistent_derivative,
     require_near,
+    with_true_errors,
 )
 from .problem import Problem, Solution
 
@@ -97,11 +98,8 @@ def fit_problem(
             solution = solution._replace(rough=())
             break
         if sharpened == SHARPENED:
-            value = solution.values[inconsistent[0]]
-            raise FitError(
-                f"With {inconsistent[0]} = {value:.3g} the equations are too stiff for accurate derivatives: "
-                "leave it fixed."
-            )
+            solution = with_true_errors(problem, solution, train)
+            break
         progress(ProgressEvent(Phase.TIGHTER_TOLERANCES))
         problem = problem.with_tighter_tolerances()
         solution = problem.fit(solution.values, free, train, solution.start, threshold=threshold)

@@ -87,8 +87,8 @@ def initial_states(model: Model, run: Run) -> np.ndarray:
 
 
 def _delays(problem: Problem) -> list[str]:
-    """The parameters that delay commands which are held between samples: the derivative by them says nothing of the
-    jumps of a command, and beside a jump it has no bound."""
+    """The parameters that delay commands which are held between samples: where a window begins at a jump of a command,
+    the derivative by them is that of one side, and a step to the other side is misled."""
     if not held_signals(problem.batch.gait):
         return []
     late = {name: effect for name, effect in problem.model.effects.items() if isinstance(effect, Delay)}

@@ -178,7 +178,8 @@ def warnings_about(
         names = ", ".join(name.rsplit(".", 1)[-1] for name in solution.rough)
         messages.append(
             f"The simulations do not change smoothly with {names} where the fit ended: there are no standard errors. "
-            "Check the measures of the board and the units of the gait: `snakejax check` compares them with the motion."
+            f"Hold one of them, as with --set {names.split(', ')[0]}=VALUE, or check the measures of the vehicle and "
+            "the units of the inputs: `snakejax check` compares them with the motion."
         )
     loose = [name.rsplit(".", 1)[-1] for name, e in estimates.items() if not e.determined and not e.at_bound]
     if loose and not solution.rough:

@@ -131,7 +131,7 @@ def linearised_windows(
     """The `windows` (numbers of runs) linearised by the parameters `names`, `problem.width` of them at a time.
 
     Of the parameters in `secants` the derivative is a difference quotient over that step, central where the domain has
-    room on both sides: a held command jumps, and its derivative by time says nothing of the jumps.
+    room on both sides: at a jump of a held command the derivative by a delay is that of one side.
     """
     columns = _derivatives(problem, point, names, windows, until)
     for k, name in enumerate(names):
