@@ -12,10 +12,14 @@ import pytest
 from helpers.folders import ROOT
 from helpers.many_boards import scattered
 
-from snakejax import TABLE_II, Accuracy, Board, Model, Pacejka, preset, simulate, simulate_many
+from snakejax import TABLE_II, Accuracy, Board, Model, Pacejka, Sines, preset, simulate, simulate_many
 from snakejax.core.parameter import with_parameters
-from snakejax.effects import ClockOffset, GroundSlope, TyreRelaxation
+from snakejax.dynamics.axle_tyres import FrontRear
+from snakejax.dynamics.inputs import Inputs
+from snakejax.effects import BodyDrag, ClockOffset, GroundSlope, TyreRelaxation
 from snakejax.simulation.ensemble import BLOCK, CHUNK, stacked
+from snakejax.vehicles.car import DART, Car
+from snakejax.vehicles.sleigh import ICE_SLEIGH, Sleigh
 
 SHARP = Accuracy(rtol=1e-11, atol=1e-13, max_steps=10**6)
 SHARPER = Accuracy(rtol=1e-12, atol=1e-14, max_steps=10**6)  # diffrax interpolates between its steps
@@ -60,6 +64,29 @@ def test_members_agree_with_diffrax(constraint, effects, engine) -> None:
     # At SHARP a stiff board is off by 1e-9 itself.
     found = simulate_many(models, example.gait, times, start, accuracy=SHARPER, engine=engine)
     np.testing.assert_allclose(found, one_by_one(models, example.gait, times, start), rtol=0, atol=1e-9)
+
+
+def in_motion(kind: str) -> tuple[list[Model], Inputs]:
+    """A sleigh, which goes on as it was pushed, or a car whose commands have another clock; of each, two with another
+    tyre."""
+    tyres = [Pacejka(4.0, 1.3, D, 0.1) for D in (3.0, 5.0)]
+    if kind == "sleigh":
+        return [Model(Sleigh(**ICE_SLEIGH), tyre, "free", {"body_drag": BodyDrag(c=0.4)}) for tyre in tyres], Inputs({})
+    car, effects = Car(**DART, force_gain=20.0, speed_loss=2.0), {"clock_offset": ClockOffset(T=0.03)}
+    inputs = {"steer": Sines.of([[0.3, 2.0, 0.4]]), "drive": Sines.of([[0.3, 1.0, 1.0]])}
+    return [Model(car, FrontRear(tyre, tyre), "free", effects) for tyre in tyres], Inputs(inputs)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["tsit5", "fastest"])
+@pytest.mark.parametrize("kind", ["sleigh", "car"])
+def test_members_start_in_motion(kind, engine) -> None:
+    members, inputs = in_motion(kind)
+    models = stacked(members)
+    start = np.array([[0.1, 0.2, 0.3, 0.5, 0.05, 2.0], [0.0, 0.0, 1.0, 0.8, -0.1, 1.0]])
+    times = np.linspace(0.0, 2.0, 5)
+    poses = simulate_many(models, inputs, times, start, accuracy=SHARPER, engine=engine)
+    np.testing.assert_allclose(poses, one_by_one(models, inputs, times, start), rtol=0, atol=1e-9)
 
 
 @pytest.mark.slow

@@ -24,7 +24,7 @@ from snakejax.dynamics.inputs import AbstractInputs
 from snakejax.dynamics.model import Model
 
 from .integrate import Accuracy
-from .taylor_ensemble import Ensemble, Poses, by_taylor_series, heyoka_version
+from .taylor_ensemble import Ensemble, Poses, beginning, by_taylor_series, heyoka_version
 
 BLOCK = 64
 """Members that step together: enough to fill the vector units, few enough for the first-level cache."""
@@ -43,8 +43,8 @@ _ERROR = [float(e) for e in _TABLEAU.b_error]
 
 Engine = Literal["fastest", "taylor", "tsit5"]
 """How an ensemble is integrated: by Taylor series, by Tsit5, or by the fastest that is present and applies."""
-Members = tuple[Model, AbstractInputs | None, Float[Array, "V 3"]]
-"""Stacked models, stacked gaits and start poses of the members."""
+Members = tuple[Model, AbstractInputs | None, Float[Array, "V k"]]
+"""Stacked models, stacked gaits and starts of the members."""
 Leaves = list[Float[Array, " B"]]
 Rates = Callable[[Float[Array, " B"], Leaves], Leaves]
 
@@ -114,9 +114,8 @@ def _poses(
     """Poses (B, n, 3) of one block, infinite for a member that did not reach the end."""
     gaits = jax.vmap(lambda model, gait: model.prepared(gait))(models, gaits)
     delay = jax.vmap(lambda model: model.delay() + jnp.zeros(()))(models)
-    begins = jax.vmap(lambda gait: gait.begins())(gaits)
+    begins, states = jax.vmap(beginning)(models, gaits, start)
     end_times = jnp.maximum(times[:, None] - delay[None, :], begins[None, :])
-    states = jax.vmap(lambda model, at: model.start((at[0], at[1], at[2])))(models, start)
     leaves, structure = jax.tree.flatten(states)
 
     def member_rates(t, y, model, gait):
@@ -188,21 +187,22 @@ def simulate_many(
     models: Model,
     gait: AbstractInputs,
     times: Float[Array, " n"],
-    start: Sequence[float] | Float[Array, "V 3"] = (0.0, 0.0, 0.0),
+    start: Sequence[float] | Float[Array, "V k"] = (0.0, 0.0, 0.0),
     *,
     own_gaits: bool = False,
     accuracy: Accuracy = ACCURACY,
     workers: int | None = None,
     engine: Engine = "fastest",
 ) -> Float[np.ndarray, "V n 3"]:
-    """Poses (V, n, 3), x, y [m] and heading [rad], of many models that start at rest at time 0.
+    """Poses (V, n, 3), x, y [m] and heading [rad], of many models that start at time 0, at rest or in motion.
 
     The members are distributed over `workers` threads (default: one for each core of this process), or by
     `jax.sharding` over several devices. The result does not depend on the number of threads; between devices it differs
     by rounding. The poses of a member that needs more than `accuracy.max_steps` steps are infinite.
 
     **Arguments:** `models`: a model whose arrays have a leading axis V (`stacked`). `gait`: one for all, or with
-    `own_gaits` stacked like `models`. `times` [s] (n,), increasing. `start`: one pose (3,) for all, or (V, 3).
+    `own_gaits` stacked like `models`. `times` [s] (n,), increasing. `start`: one pose (3,) at rest for all, or
+    (V, 3); or pose and velocities, (6,) or (V, 6), as of `simulate`.
     `engine`: "taylor" (Taylor series, of the extra `taylor`), "tsit5", or the fastest: Taylor series where the extra is
     installed, and Tsit5 for the members that have no series to the end of their run.
     **Raises:** `RuntimeError` without double precision; `ValueError` for times that do not increase from 0, a wrong
@@ -214,11 +214,12 @@ def simulate_many(
         raise ValueError("Argument `times` must be a row of finite numbers from 0 on.")
     if (np.diff(frames) <= 0).any():
         raise ValueError("Argument `times` must increase.")
-    if np.shape(start) not in ((3,), (count, 3)):
-        raise ValueError(f"Argument `start` must have the shape (3,) or {(count, 3)}, but it has {np.shape(start)}.")
+    if np.shape(start) not in ((3,), (count, 3), (6,), (count, 6)):
+        shapes = f"(3,) or {(count, 3)}, or in motion (6,) or {(count, 6)}"
+        raise ValueError(f"Argument `start` must have the shape {shapes}, but it has {np.shape(start)}.")
     if accuracy.step is not None:
         raise ValueError("Members choose their own steps: leave out the fixed step of `accuracy`.")
-    starts = np.broadcast_to(np.asarray(start, np.float64), (count, 3))
+    starts = np.broadcast_to(np.asarray(start, np.float64), (count, np.shape(start)[-1]))
     ensemble = Ensemble.of(models, gait, starts, frames, own_gaits, by_value=True)
     return integrated(ensemble, accuracy, workers, engine).poses
 

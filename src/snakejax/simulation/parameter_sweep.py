@@ -114,8 +114,8 @@ def _poses(
 
 
 def members_of(models: Model, gait: AbstractInputs, times: np.ndarray, start: Sequence[float], engine: Engine) -> Poses:
-    """The poses of a chunk of `models_on`, all of which start at one pose."""
-    starts = np.broadcast_to(np.asarray(start, np.float64), (len(jax.tree.leaves(models)[0]), 3))
+    """The poses of a chunk of `models_on`, all of which start alike."""
+    starts = np.broadcast_to(np.asarray(start, np.float64), (len(jax.tree.leaves(models)[0]), len(start)))
     # What the chunk varies may be alike in it by chance: the program must not depend on that.
     ensemble = Ensemble.of(models, gait, starts, times, own_gaits=False, by_value=False)
     return integrated(ensemble, ACCURACY, 1, engine)
@@ -124,13 +124,14 @@ def members_of(models: Model, gait: AbstractInputs, times: np.ndarray, start: Se
 class SweepOptions(TypedDict, total=False):
     """Options of a sweep.
 
-    `start`: the pose (x [m], y [m], heading [rad]) of all members, at rest at time 0 (default: the origin). `folder`:
-    where results are saved by chunk; after an interruption the same call computes the missing chunks, with a result
-    that is identical to the last bit. `executor`: the cores of this machine (default) or a `cluster(...)`.
+    `start`: the pose (x [m], y [m], heading [rad]) of all members at time 0, at rest (default: the origin); followed by
+    (u, w [m/s], yaw rate [rad/s]) where they start in motion, as of `simulate`. `folder`: where results are saved by
+    chunk; after an interruption the same call computes the missing chunks, with a result that is identical to the last
+    bit. `executor`: the cores of this machine (default) or a `cluster(...)`.
     `progress` counts members. `engine`: as of `simulate_many`.
     """
 
-    start: tuple[float, float, float]
+    start: Sequence[float]
     folder: Path | str | None
     executor: Executor
     progress: Progress

@@ -17,11 +17,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 
 from snakejax.core.parallel import cores
+from snakejax.core.parameter import Scalar
 from snakejax.dynamics.inputs import AbstractInputs
-from snakejax.dynamics.model import Model
+from snakejax.dynamics.model import Model, State
 
 from .integrate import Accuracy
 from .taylor_series import Level, NoTaylorSeries, Trace, equations
@@ -38,7 +39,8 @@ PROGRAMS = 16
 
 
 class Ensemble(NamedTuple):
-    """V members: stacked `models` and, with `own_gaits`, stacked gaits; start poses (V, 3); `times` (n,) [s].
+    """V members: stacked `models` and, with `own_gaits`, stacked gaits; `starts` (V, 3) at rest or (V, 6) in motion;
+    `times` (n,) [s].
 
     `varied` says of each leaf of (models, gaits) whether it differs between members; the others are constants of the
     compiled program.
@@ -46,7 +48,7 @@ class Ensemble(NamedTuple):
 
     models: Model
     gaits: AbstractInputs
-    starts: Float[np.ndarray, "V 3"]
+    starts: Float[np.ndarray, "V k"]
     times: Float[np.ndarray, " n"]
     own_gaits: bool
     varied: tuple[bool, ...]
@@ -139,6 +141,15 @@ def _kept(cache: dict, key: Any, make: Callable[[], Any]) -> Any:
         return cache[key]
 
 
+def beginning(model: Model, gait: AbstractInputs, start: Float[Array, " k"]) -> tuple[Scalar, State]:
+    """The time [s] of the inputs at which a member begins, and its state there: at rest for a start of three numbers,
+    and in motion at time 0 of the run for one of six."""
+    if start.shape[0] == 3:
+        return gait.begins(), model.start((start[0], start[1], start[2]))
+    at = -model.delay() + jnp.zeros(())
+    return at, model.initial_state(tuple(start[k] for k in range(start.shape[0])), at, gait)
+
+
 class _Start(NamedTuple):
     """What is known of V members before their integration; `steady` says of each branch that it stays the same."""
 
@@ -171,13 +182,14 @@ class _Program:
 
         def before(start, times, *leaves):
             model, gait = jax.tree.unflatten(structure, leaves)
-            begins = gait.begins()
+            begins, state = beginning(model, gait, start)
             ends = jnp.maximum(times - model.delay(), begins)
             at = begins + (ends[-1] - begins) * jnp.linspace(0.0, 1.0, INSTANTS if changing else 1)
             choices = jax.vmap(lambda t: _row(trace.decided(t, leaves)))(at)
-            state = jax.tree.leaves(model.start((start[0], start[1], start[2])))
             residuals = list(trace.evaluated(self.residuals, None, leaves).values())
-            return _Start(begins, ends, state, residuals, choices[0], (choices == choices[:1]).all(axis=0))
+            return _Start(
+                begins, ends, jax.tree.leaves(state), residuals, choices[0], (choices == choices[:1]).all(axis=0)
+            )
 
         shared = [None if alike else 0 for alike in self.alike]
         self.before = jax.jit(jax.vmap(before, (0, None, *axes), _Start(0, 0, 0, shared, 0, 0)))

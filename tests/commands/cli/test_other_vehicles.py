@@ -57,6 +57,22 @@ def test_a_car_with_its_true_values_leaves_noise(car: Path, tmp_path: Path) -> N
 
 
 @pytest.mark.slow
+def test_a_run_in_motion_is_swept_from_its_velocities(car: Path, tmp_path: Path, capsys) -> None:
+    """It ends where the simulation of the run ends; without velocities the sweep says what it needs."""
+    values = ",".join(f"{name}={value}" for name, value in TYRES.items())
+    model = ["--set", values, "--with", "steering_lag:tau=0.1", "--run", "held-1", "--quiet"]
+    swept, vary = tmp_path / "swept.json", ["--vary", "front.D=6:7:2"]
+    assert main(["sweep", str(car), *model, *vary]) == 2
+    assert "give the velocities too: --start X,Y,HEADING,U,W,R" in " ".join(capsys.readouterr().err.split())
+    start = ["--start", "0.3,0.1,0.2,1.0,0.1,0.3"]
+    assert main(["sweep", str(car), *model, *vary, *start, "--json", str(swept)]) == 0
+    end = [column[0] for column in json.loads(swept.read_text())["end"].values()]
+    case = sj.load_case(car)
+    measured = np.asarray(next(run.pose for run in case.runs if run.name == "held-1"))[-1]
+    np.testing.assert_allclose(end, measured, atol=3e-3)
+
+
+@pytest.mark.slow
 def test_saved_models_of_a_car_are_judged_by_what_they_predict(car: Path, tmp_path: Path) -> None:
     """The true model is off by a few times the noise; a file of `simulate` holds one model: base and final are it."""
     values = ",".join(f"{name}={value}" for name, value in TYRES.items())

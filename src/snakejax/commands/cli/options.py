@@ -178,11 +178,21 @@ def start_pose(text: str | None) -> tuple[float, float, float] | None:
     """`x,y,heading`. **Raises:** `InputError`."""
     if text is None:
         return None
-    parts = text.split(",")
-    if len(parts) != 3:
-        raise InputError(f"`{text}` is not a pose", "option --start", "write x,y,heading in m and rad, as in 0,0,1.57")
-    x, y, heading = (finite(part, "option --start", f"`{text}`") for part in parts)
+    x, y, heading = _start_numbers(text, (3,), "write x,y,heading in m and rad, as in 0,0,1.57")
     return x, y, heading
+
+
+def start_state(text: str | None) -> tuple[float, ...] | None:
+    """`x,y,heading` at rest, or `x,y,heading,u,w,yaw_rate` in motion. **Raises:** `InputError`."""
+    remedy = "write x,y,heading in m and rad, as in 0,0,1.57; in motion add u,w in m/s and the yaw rate in rad/s"
+    return None if text is None else _start_numbers(text, (3, 6), remedy)
+
+
+def _start_numbers(text: str, counts: Sequence[int], remedy: str) -> tuple[float, ...]:
+    parts = text.split(",")
+    if len(parts) not in counts:
+        raise InputError(f"`{text}` is not a pose", "option --start", remedy)
+    return tuple(finite(part, "option --start", f"`{text}`") for part in parts)
 
 
 def given(options: argparse.Namespace) -> Mapping[str, Any]:

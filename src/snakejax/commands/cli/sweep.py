@@ -20,7 +20,7 @@ from .options import (
     finite,
     given,
     model_options,
-    start_pose,
+    start_state,
     varied,
 )
 from .pipeline import Outcome, Stopwatch, each_case
@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 
 LOADING = ("load", "camber")
 """The loading of the paper's gaits, which can be varied in addition to model parameters."""
+FIRST_SAMPLE = 1e-6
+"""A run whose first sample is at less than this [s] begins at 0 s."""
 SHOWN = 21
 """Rows of the printed table, evenly spaced over the sweep; the JSON has all."""
 
@@ -66,7 +68,8 @@ def add(commands: Any) -> None:
     command.add_argument(
         "--table", metavar="FILE.csv", help="in place of --vary: a column for each parameter, a row for each board"
     )
-    command.add_argument("--start", metavar="X,Y,HEADING", help="start pose of the boards [m, m, rad] (default 0,0,0)")
+    start = "start pose [m, m, rad] (default 0,0,0); for a start in motion also u,w [m/s] and the yaw rate [rad/s]"
+    command.add_argument("--start", metavar="X,Y,HEADING[,U,W,R]", help=start)
     command.add_argument("--run", metavar="RUN", dest="gait", help="the run whose gait is used (default: the first)")
     command.add_argument(
         "--cluster", metavar="ADDRESS", help="compute on the Dask cluster with this scheduler, as in tcp://host:8786"
@@ -144,7 +147,7 @@ def work(
     how = {
         "folder": options.out and Path(options.out) / "sweep-pieces",
         "executor": executor,
-        "start": start_pose(options.start) or (0.0, 0.0, 0.0),
+        "start": start_state(options.start) or (0.0, 0.0, 0.0),
         "progress": lambda event: say(event._replace(text=what)),
     }
     boards = _swept(model, gait, times, axes, matched, how)
@@ -226,15 +229,21 @@ def _outcome(
 
 
 def _run(options: argparse.Namespace, case: Any) -> Any:
-    """The run of `--run`. **Raises:** `InputError` where there is none, or where it does not start at rest."""
+    """The run of `--run`. **Raises:** `InputError` where there is none, or where it is in motion and `--start` has no
+    velocities."""
     names = [run_.name for run_ in case.runs]
     name = names[0] if options.gait is None else options.gait
     if name not in names:
         raise InputError(f"There is no run `{name}` in {case.name}", "option --run", instead_of(name, names))
     run_ = case.runs[names.index(name)]
-    if run_.moving:
-        what = f"Run `{name}` is already moving at its first sample, but a sweep starts at rest"
-        raise InputError(what, "option --run", "name a run that starts at rest")
+    in_motion = len(start_state(options.start) or ()) > 3
+    if run_.moving and not in_motion:
+        what = f"Run `{name}` is already moving at its first sample"
+        remedy = "name a run that starts at rest, or give the velocities too: --start X,Y,HEADING,U,W,R"
+        raise InputError(what, "option --run", remedy)
+    if in_motion and abs(first := float(run_.times[0])) > FIRST_SAMPLE:
+        what = f"Run `{name}` begins at {first:g} s, but a sweep in motion begins at 0 s"
+        raise InputError(what, "option --run", "name a run whose first sample is at 0 s")
     return run_
 
 
