@@ -70,7 +70,7 @@ class Counted:
 def _far(model: sj.Model, spec: RolloutSpec, unknowns):
     def one(z):
         command = spec.shape.gait(z)
-        most = {name: [] for name in Limits._fields}
+        most = {name: [] for name in LIMITS.names}
         for name, signal in clipped(model, spec.driver.driven(command)):
             values = reached(signal, SECONDS, COARSE)
             for q, part in zip(QUANTITIES, values, strict=True):
@@ -91,7 +91,7 @@ def main(times: float) -> None:
     case = sj.load_case(DATA / "level-board")
     model = sj.Model(case.board, sj.Pacejka(**TYRE), "free")
     driver = sj.Controller.of(case.runs[0].gait)
-    shape = sj.SumsOfSines((LIMITS.phi.angle, LIMITS.psi.angle), band(LIMITS, SECONDS), TERMS)
+    shape = sj.SumsOfSines((LIMITS["phi"].angle, LIMITS["psi"].angle), band(LIMITS, SECONDS), TERMS)
     spec = RolloutSpec(shape, driver, jnp.array([0.0, SECONDS]), jnp.zeros(3), False)
 
     sj.design.tune(model, sj.Distance(), LIMITS, SECONDS, driver=driver, starts=1, most=1)  # compiled

@@ -128,7 +128,7 @@ def test_tune_works_on_a_case(short: Path, few_guesses: None) -> None:
 def test_tune_works_on_a_model(few_guesses: None) -> None:
     limit = {"phi": 0.9, "psi": 1.6, "phi_rate": 4.0, "psi_rate": 6.5}
     of_model = sj.tune(sj.preset("paper-forward").model, "turn", seconds=2, limit=limit)
-    assert of_model.limits.phi.angle == 0.9 and of_model.after.result > 0
+    assert of_model.limits["phi"].angle == 0.9 and of_model.after.result > 0
 
 
 @pytest.mark.long

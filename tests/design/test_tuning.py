@@ -14,6 +14,8 @@ from scipy.interpolate import CubicSpline
 from snakejax import (
     Board,
     Controller,
+    Distance,
+    Effort,
     Fourier,
     Gait,
     Limits,
@@ -32,9 +34,12 @@ from snakejax.core.errors import InputError
 from snakejax.design import joint_log, spline, tune
 from snakejax.design.limits import peaks, slack, within
 from snakejax.design.tuning import sines
+from snakejax.dynamics.inputs import Inputs
+from snakejax.dynamics.model import no_traction
 from snakejax.present.as_json.schema import schema_of
 from snakejax.recording.readers import read_joint_log
 from snakejax.simulation import torques
+from snakejax.vehicles.roller_racer import ROLLER_RACER, RollerRacer
 from snakejax.vehicles.snakeboard.board import TABLE_II
 
 TYRE = dict(B=6.0, C=1.4, D=6.0, E=0.3)
@@ -260,6 +265,28 @@ def test_a_spline_becomes_a_joint_log_of_the_same_gait(tmp_path) -> None:
     log = read_joint_log(tmp_path / "log.csv")
     for mine, angles in ((gait.phi, log.phi), (gait.psi, log.psi)):
         np.testing.assert_allclose(Logged.of(log.times, angles).coefficients, mine.command.coefficients, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_another_vehicle_is_tuned_by_the_names_of_its_inputs() -> None:
+    """A roller racer: its one input keeps its limits at every sampled instant and carries it as far as is said."""
+    racer = Model(RollerRacer(**ROLLER_RACER), no_traction(), "ideal")
+    known = Inputs({"handle": Sines.of([[0.6, 3.0, 0.0]])})
+    limits = Limits(handle=0.8, handle_rate=4.0)
+    best = tune(racer, Distance(), limits, 2.0, given=[known], starts=1, most=5)
+    assert best.before is not None and best.after.result > 1.1 * best.before.result
+    assert list(best.terms()) == ["handle"] and best.units == {"handle": "rad"}
+    rows = np.array(best.terms()["handle"]).T[:, :, None]
+    times = np.linspace(0.0, 2.0, 20_001)
+    angle = (rows[0] * np.sin(rows[1] * times + rows[2])).sum(axis=0)
+    rate = (rows[0] * rows[1] * np.cos(rows[1] * times + rows[2])).sum(axis=0)
+    assert 0.5 < np.abs(angle).max() <= 0.8 and np.abs(rate).max() <= 4.0
+    pose = np.asarray(simulate(racer, Inputs({"handle": Sines.of(rows[:, :, 0].T)}), jnp.array([0.0, 2.0])).pose)
+    assert best.after.result == pytest.approx(np.hypot(*(pose[-1] - pose[0])[:2]), abs=1e-6)
+    with pytest.raises(InputError, match="The limits are of phi, psi, but the inputs are handle"):
+        tune(racer, Distance(), LIMITS, 2.0)
+    with pytest.raises(InputError, match="joint torques of a racer are not known"):
+        tune(racer, Effort(0.5), limits, 2.0)
 
 
 def test_a_log_cannot_be_written_as_sines() -> None:

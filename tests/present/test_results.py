@@ -26,7 +26,8 @@ def tuned(gait: Gait, before: Any = 1.0, after: Any = 2.5) -> TuningResult:
     run = cast(Any, None)
     limits = Limits.of({"phi": 0.9, "psi": 1.6})
     sides = GaitResult(gait, before, run), GaitResult(gait, after, run)
-    return TuningResult(*sides, [], limits, {}, 8.0, (0.0, 0.0, 0.0), False, 10, 5)
+    units = {"phi": "rad", "psi": "rad"}
+    return TuningResult(*sides, [], limits, {}, 8.0, (0.0, 0.0, 0.0), False, 10, 5, units)
 
 
 def sines() -> Gait:

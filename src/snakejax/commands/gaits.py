@@ -6,12 +6,12 @@ from typing import Any, NamedTuple, Unpack
 
 from snakejax.core.errors import FitError, InputError, instead_of
 from snakejax.core.progress import no_progress
-from snakejax.design.limits import Limits, limits_of, reached_by
+from snakejax.design.limits import Limits, input_names, limits_of, reached_by
 from snakejax.design.objectives import Custom, Distance, Effort, Objective, Reach, Turn
 from snakejax.design.rollouts import Controller
 from snakejax.design.tuning import TuningResult
 from snakejax.design.tuning import tune as tuned
-from snakejax.dynamics.inputs import Gait
+from snakejax.dynamics.inputs import AbstractInputs
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.signals import Logged, Sines
 from snakejax.estimation.fit_record import Fit
@@ -34,7 +34,7 @@ DRAWS = 12
 class TuneOptions(FitOptions, total=False):
     """The options of `tune`: those of the model and of the fit that comes first, and those of the run.
 
-    `seconds`: duration of the run [s] (default: that of the first run); `limit`: limits of the joints [rad, rad/s,
+    `seconds`: duration of the run [s] (default: that of the first run); `limit`: limits of the inputs [rad, rad/s,
     rad/s^2], {"phi": 0.9, "psi_rate": 6.5} or "phi=0.9,psi_rate=6.5" (default: the largest angle and rate of the gaits
     of the case); `payload`: mass [kg] and yaw inertia [kg m^2] (default: those of the first run); `start`: pose
     [m, m, rad] (default: the origin); `over`: "fit", "mean" or "worst" of samples of the parameters (default: "fit",
@@ -89,7 +89,8 @@ def tune_subject(
     payload = options.get("payload")
     payload = payload_of(subject) if payload is None else payload
     models = [model.with_payload(payload) for model in boards.models]
-    limits = Limits.of(limit, reached_by(gaits, models[0], length or 0.0) if gaits else None)
+    names = input_names(models[0])
+    limits = Limits.of(limit, reached_by(gaits, models[0], length or 0.0) if gaits else None, names)
     seconds = options.get("seconds")
     seconds = length if seconds is None else seconds
     if seconds is None:
@@ -108,7 +109,7 @@ def _tuned(
     models: Sequence[Model],
     target: Objective,
     limits: Limits,
-    gaits: Sequence[Gait],
+    gaits: Sequence[AbstractInputs],
     over: str,
     how: Mapping[str, Any],
 ) -> TuningResult:
@@ -118,8 +119,8 @@ def _tuned(
             models[0] if over == "fit" else models,
             target,
             limits,
-            driver=Controller.of(gaits[0]) if gaits else Controller(),
-            given=[gait for gait in gaits if gait.phi_back is None],
+            driver=Controller.of(gaits[0], limits.names) if gaits else Controller(),
+            given=[gait for gait in gaits if gait.names == limits.names],
             over="worst" if over == "worst" else "mean",
             others=models[1:] if over == "fit" else (),
             **how,
@@ -149,21 +150,22 @@ def _boards(subject: Case | Preset | Model, options: TuneOptions) -> Boards:
     return Boards([fit.model, *drawn], over or ("mean" if undetermined else "fit"), fit)
 
 
-def gaits_of(subject: Case | Preset | Model) -> tuple[list[Gait], float | None]:
-    """The gaits of the runs from rest, and the duration of the first run [s]; a model has neither.
+def gaits_of(subject: Case | Preset | Model) -> tuple[list[AbstractInputs], float | None]:
+    """The gaits of the runs from rest, and the duration of the first run [s]; a model has neither. Commands of another
+    vehicle than a snakeboard count where they are smooth.
 
-    **Raises:** `InputError` for another vehicle than a snakeboard.
+    **Raises:** `InputError` for a vehicle without inputs, or where no commands of a snakeboard are smooth.
     """
     if isinstance(subject, Preset):
         return [subject.gait], subject.duration
-    if not isinstance(subject.board, Board):
-        what = f"Gaits are those of a snakeboard, but the vehicle is a {subject.board.noun}"
-        raise InputError(what, "argument CASE", "`tune` and the design of runs take snakeboards only, so far")
+    if not subject.board.inputs:
+        what = f"A {subject.board.noun} has no inputs, so there is no gait to tune"
+        raise InputError(what, "argument CASE", "take a vehicle with inputs")
     if isinstance(subject, Model):
         return [], None
-    rested = [run.gait for run in subject.runs if not run.moving and isinstance(run.gait, Gait)]
-    smooth = [g for g in rested if all(isinstance(limits_of(joint), Sines | Logged) for joint in (g.phi, g.psi))]
-    if rested and not smooth:
+    rested = [run.gait for run in subject.runs if not run.moving]
+    smooth = [g for g in rested if all(isinstance(limits_of(g.signal(name)), Sines | Logged) for name in g.names)]
+    if rested and not smooth and isinstance(subject.board, Board):
         what = "The commands of these runs jump or pass through an actuator that is none of kp and kd"
         raise InputError(what, "argument CASE", "`tune` and `design` take gaits of sines or smooth logs")
     return smooth, float(subject.runs[0].times[-1])

@@ -10,10 +10,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from snakejax.core.parameter import Scalar
-from snakejax.dynamics.inputs import Gait
+from snakejax.dynamics.inputs import AbstractInputs
 from snakejax.dynamics.model import Model
 from snakejax.simulation.integrate import Accuracy
 
+from .gait_families import each_changed
 from .limits import Limits, limits_of, slack
 from .objectives import FRAME_RATE, Objective, Rollout
 from .rollouts import Rollouts, RolloutSpec, rollout, rollout_jacobian, rollouts
@@ -50,7 +51,7 @@ class GaitProblem(eqx.Module):
         stack = jax.tree.map(lambda *parts: jnp.stack(parts, axis=1), *runs)
         return np.asarray(merits(self.objective, self.spec.times, stack, self.over))
 
-    def starts(self, known: Sequence[Gait], count: int, rng) -> tuple[list[np.ndarray], int]:
+    def starts(self, known: Sequence[AbstractInputs], count: int, rng) -> tuple[list[np.ndarray], int]:
         """Unknowns of `count` starts, from known gaits and the best random ones, and the number of simulated runs.
 
         **Raises:** `RuntimeError` if no gait can be simulated.
@@ -69,7 +70,7 @@ class GaitProblem(eqx.Module):
         others = [int(k) for k in ranked if k not in kept_known and np.isfinite(merit[k])]
         return [candidates[k] for k in [*kept_known, *others][:count]], len(candidates) * len(self.boards)
 
-    def best(self, gaits: Sequence[Gait]) -> Gait:
+    def best(self, gaits: Sequence[AbstractInputs]) -> AbstractInputs:
         """The one of `gaits` with the least merit, simulated accurately.
 
         **Raises:** `RuntimeError` if none can be simulated.
@@ -180,11 +181,11 @@ def _slack(model: Model, spec: RolloutSpec, limits: Limits, seconds: float, unkn
 
 
 @eqx.filter_jit
-def _accurate(model: Model, gait: Gait, times, start) -> Rollouts:
+def _accurate(model: Model, gait: AbstractInputs, times, start) -> Rollouts:
     return rollout(model, gait, times, start, True, SHARP)
 
 
-def accurate(model: Model, gait: Gait, seconds: float, start) -> Rollout:
+def accurate(model: Model, gait: AbstractInputs, seconds: float, start) -> Rollout:
     """Simulate a run accurately at `FRAME_RATE`, with its effort."""
     times = jnp.linspace(0.0, seconds, int(np.ceil(seconds * FRAME_RATE)) + 1)
     return Rollout(times, *_accurate(model, gait, times, jnp.asarray(start, jnp.float64)))
@@ -196,5 +197,6 @@ def rollout_of(run: Rollout, times) -> Rollout:
     return Rollout(jnp.asarray(times), run.pose[frames], run.effort)
 
 
-def command(gait: Gait) -> Gait:
-    return Gait(limits_of(gait.phi), limits_of(gait.psi))
+def command(gait: AbstractInputs) -> AbstractInputs:
+    """The commands that the joints of `gait` follow."""
+    return each_changed(gait, limits_of)

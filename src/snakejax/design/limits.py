@@ -3,7 +3,8 @@
 They apply to the command of a joint and to its motion under the controller of eq. (8), which overshoots at the start.
 """
 
-from collections.abc import Mapping
+import dataclasses
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -13,11 +14,11 @@ from jaxtyping import Array, Float
 
 from snakejax.core.errors import InputError, instead_of
 from snakejax.core.parameter import Scalar
-from snakejax.dynamics.inputs import Gait
+from snakejax.dynamics.inputs import AbstractInputs
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.signals import AbstractSignal, Delayed, Joint, Logged, Scaled, Sines, Tracked
 
-from .gait_families import scaled
+from .gait_families import JOINTS, scaled
 
 COARSE, FINE = 0.01, 0.0005
 """Grid [s] of the constraints in the optimisation, and of the final proven bounds."""
@@ -29,40 +30,41 @@ QUANTITIES = ("", "_rate", "_acceleration")
 
 
 class Limit(NamedTuple):
-    """Limits of one joint: angle [rad], rate [rad/s], acceleration [rad/s^2]; infinite where there is none."""
+    """Limits of one input, a joint angle for example: angle [rad], rate [rad/s], acceleration [rad/s^2]; infinite where
+    there is none."""
 
     angle: float = np.inf
     rate: float = np.inf
     acceleration: float = np.inf
 
 
-class _JointLimits(NamedTuple):
-    phi: Limit
-    psi: Limit
+@dataclasses.dataclass(frozen=True, init=False)
+class Limits:
+    """Limits of the inputs of a vehicle: `Limits(phi=0.9, psi=1.6, psi_rate=6.5)`, `Limits(handle=0.8)`.
 
-
-class Limits(_JointLimits):
-    """Limits of the steering joint (phi) and the rotor joint (psi): `Limits(phi=0.9, psi=1.6, psi_rate=6.5)`.
-
-    **Arguments:** `phi`, `psi`: largest angle [rad], or a `Limit`; `others`: `phi_rate` and `psi_rate` [rad/s],
-    `phi_acceleration` and `psi_acceleration` [rad/s^2].
-    **Raises:** `InputError` for an unknown name, a number not above 0, or an angle without limit.
+    **Arguments:** by the name of an input its largest angle [rad] (or speed [m/s], or command), or a `Limit`; with
+    `_rate` behind the name that of its rate [rad/s], with `_acceleration` that of its acceleration [rad/s^2].
+    **Raises:** `InputError` for an unknown name, a number not above 0, or an input without limit.
     """
 
-    __slots__ = ()
+    each: tuple[tuple[str, Limit], ...]
 
-    def __new__(cls, phi: Limit | float = np.inf, psi: Limit | float = np.inf, **others: float) -> "Limits":
-        if isinstance(phi, Limit) and isinstance(psi, Limit):
-            return super().__new__(cls, phi, psi)
-        return cls.of({"phi": phi, "psi": psi} | others)
+    def __init__(self, **values: Limit | float) -> None:
+        inputs = [name.removesuffix("_rate").removesuffix("_acceleration") for name in values]
+        inputs = JOINTS if set(JOINTS) & set(inputs) else tuple(dict.fromkeys(inputs))
+        if all(isinstance(limit, Limit) for limit in values.values()):
+            object.__setattr__(self, "each", tuple(values.items()))
+        else:
+            object.__setattr__(self, "each", Limits.of(values, names=inputs).each)
 
     @staticmethod
-    def of(values: Mapping[str, Any], otherwise: "Limits | None" = None) -> "Limits":
-        """Limits from {"phi": 0.9, "psi_rate": 6.5, ...}; missing ones are taken from `otherwise`.
+    def of(values: Mapping[str, Any], otherwise: "Limits | None" = None, names: Sequence[str] = JOINTS) -> "Limits":
+        """Limits of the inputs `names` from {"phi": 0.9, "psi_rate": 6.5, ...}; missing ones are taken from
+        `otherwise`.
 
-        **Raises:** `InputError` for an unknown name, a number not above 0, or an angle without limit.
+        **Raises:** `InputError` for an unknown name, a number not above 0, or an input without limit.
         """
-        defaults = Limits(Limit(), Limit()) if otherwise is None else otherwise
+        defaults = Limits(**{name: Limit() for name in names}) if otherwise is None else otherwise
         known = defaults.named()
         for name, value in values.items():
             if name not in known:
@@ -72,19 +74,30 @@ class Limits(_JointLimits):
                     f"The limit {value:g} of `{name}` is not above 0", "option --limit", "give one above 0"
                 )
         known |= values
-        for joint in Limits._fields:
-            if not np.isfinite(known[joint]):
-                what = f"Nothing limits the angle of `{joint}`"
-                raise InputError(what, "option --limit", f"write {joint}=ANGLE in rad")
-        return Limits(*(Limit(*(known[joint + q] for q in QUANTITIES)) for joint in Limits._fields))
+        for name in defaults.names:
+            if not np.isfinite(known[name]):
+                what = f"Nothing limits the angle of `{name}`" if name in JOINTS else f"Nothing limits `{name}`"
+                remedy = f"write {name}=ANGLE in rad" if name in JOINTS else f"write {name}=VALUE"
+                raise InputError(what, "option --limit", remedy)
+        return Limits(**{name: Limit(*(known[name + q] for q in QUANTITIES)) for name in defaults.names})
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the inputs."""
+        return tuple(name for name, _ in self.each)
+
+    def __getitem__(self, name: str) -> Limit:
+        """The limit of one input."""
+        return dict(self.each)[name]
 
     def named(self) -> dict[str, float]:
-        """The six limits by name: phi, phi_rate, phi_acceleration, psi, ..."""
-        return {
-            joint + q: value
-            for joint, limit in zip(Limits._fields, self, strict=True)
-            for q, value in zip(QUANTITIES, limit, strict=True)
-        }
+        """All limits by name: phi, phi_rate, phi_acceleration, psi, ..."""
+        return {name + q: value for name, limit in self.each for q, value in zip(QUANTITIES, limit, strict=True)}
+
+
+def input_names(model: Model) -> tuple[str, ...]:
+    """The inputs that a gait gives: those that follow no other."""
+    return tuple(one.name for one in model.board.inputs if one.follows is None)
 
 
 def limits_of(signal: AbstractSignal) -> AbstractSignal:
@@ -133,23 +146,23 @@ def reached(signal: AbstractSignal, until: float, step: float) -> Joint:
     return Joint(*(jnp.maximum(jnp.abs(p[1:]), jnp.abs(p[:-1])) + b for p, b in zip(samples, excess, strict=True)))
 
 
-def clipped(model: Model, gait: Gait) -> list[tuple[str, AbstractSignal]]:
-    """The limited signals by name of joint: the commands, and the joint motions where these differ."""
+def clipped(model: Model, gait: AbstractInputs) -> list[tuple[str, AbstractSignal]]:
+    """The limited signals by name of input: the commands, and the joint motions where these differ."""
     joints, signals = model.commanded(gait), []
-    for name in Limits._fields:
-        command, joint = limits_of(getattr(gait, name)), getattr(joints, name)
+    for name in input_names(model):
+        command, joint = limits_of(gait.signal(name)), joints.signal(name)
         signals += [(name, command)] if joint is command else [(name, command), (name, joint)]
     return signals
 
 
-def slack(model: Model, gait: Gait, limits: Limits, until: float) -> Float[Array, " rows"]:
+def slack(model: Model, gait: AbstractInputs, limits: Limits, until: float) -> Float[Array, " rows"]:
     """Constraint slack 1 - bound / limit of each limit in each of `BINS` time intervals, with the bounds of `reached`.
 
     If no slack is negative, `gait` provably satisfies `limits` from 0 to `until` [s].
     """
     rows = []
     for name, signal in clipped(model, gait):
-        for limit, value in zip(getattr(limits, name), reached(signal, until, COARSE), strict=True):
+        for limit, value in zip(limits[name], reached(signal, until, COARSE), strict=True):
             if np.isfinite(limit):
                 size = -(-value.size // BINS)
                 padded = jnp.pad(value, (0, size * BINS - value.size))
@@ -157,7 +170,7 @@ def slack(model: Model, gait: Gait, limits: Limits, until: float) -> Float[Array
     return jnp.concatenate(rows)
 
 
-def peaks(model: Model, gait: Gait, until: float) -> dict[str, float]:
+def peaks(model: Model, gait: AbstractInputs, until: float) -> dict[str, float]:
     """Proven upper bounds, by the names of `Limits.named`, over 0 to `until` [s], of command and joint motion."""
     bounds: dict[str, float] = {}
     for name, signal in clipped(model, gait):
@@ -166,26 +179,27 @@ def peaks(model: Model, gait: Gait, until: float) -> dict[str, float]:
     return bounds
 
 
-def within(model: Model, gait: Gait, limits: Limits, until: float) -> Gait:
-    """`gait` with the command of each joint scaled down so that it provably satisfies `limits` from 0 to `until` [s].
+def within(model: Model, gait: AbstractInputs, limits: Limits, until: float) -> AbstractInputs:
+    """`gait` with the command of each input scaled down so that it provably satisfies `limits` from 0 to `until` [s].
 
-    Command and joint motion are linear in the amplitude of the command, so one factor for each joint is sufficient.
+    Command and joint motion are linear in the amplitude of the command, so one factor for each input is sufficient.
     """
     bounds, largest_allowed = peaks(model, gait, until), limits.named()
-    changed = []
-    for name, signal in zip(Limits._fields, (gait.phi, gait.psi), strict=True):
+    changed = {}
+    for name in input_names(model):
+        signal = gait.signal(name)
         excess = max(bounds[name + q] / largest_allowed[name + q] for q in QUANTITIES)
         factor = 1.0 if excess <= 1 else 1 / excess * (1 - 1e-12)
         command = scaled(limits_of(signal), factor)
-        changed.append(Tracked(command, signal.kp, signal.kd) if isinstance(signal, Tracked) else command)
-    return Gait(*changed)
+        changed[name] = Tracked(command, signal.kp, signal.kd) if isinstance(signal, Tracked) else command
+    return model.board.inputs_of(changed)
 
 
-def reached_by(gaits: list[Gait], model: Model, until: float) -> Limits:
+def reached_by(gaits: Sequence[AbstractInputs], model: Model, until: float) -> Limits:
     """The largest angle and rate of given gaits as limits; acceleration and unused joints stay unlimited."""
     all_peaks = [peaks(model, gait, until) for gait in gaits]
     largest = {
         name: max(bounds[name] for bounds in all_peaks) for name in all_peaks[0] if not name.endswith("_acceleration")
     }
     used = {name: value if value > _UNUSED else np.inf for name, value in largest.items()}
-    return Limits(*(Limit(used[joint], used[f"{joint}_rate"]) for joint in Limits._fields))
+    return Limits(**{name: Limit(used[name], used[f"{name}_rate"]) for name in input_names(model)})

@@ -1,5 +1,6 @@
 """Rollouts: simulations of a parametrised gait, and their derivative by its unknowns."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -9,13 +10,13 @@ from jaxtyping import Array, Float
 
 from snakejax.core.errors import InputError
 from snakejax.core.parameter import Parametrised, Scalar, param
-from snakejax.dynamics.inputs import Gait
+from snakejax.dynamics.inputs import AbstractInputs
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.signals import Tracked
 from snakejax.simulation.integrate import Accuracy, simulate
 from snakejax.simulation.inverse_dynamics import effort, torques
 
-from .gait_families import GaitFamily
+from .gait_families import JOINTS, GaitFamily, each_changed
 
 ACCURACY = Accuracy(rtol=1e-6, atol=1e-8, max_steps=65536, derivative="forward")
 """Accuracy of the search; the result is simulated again with higher accuracy."""
@@ -28,22 +29,22 @@ class Controller(Parametrised):
     kd: Scalar | None = param("1/s", low=0.0, default=None)
 
     @staticmethod
-    def of(gait: Gait) -> "Controller":
-        """The controller of the joints of `gait`. **Raises:** `InputError` where they have different ones."""
-        steering, rotor = (
-            Controller(joint.kp, joint.kd) if isinstance(joint, Tracked) else Controller()
-            for joint in (gait.phi, gait.psi)
-        )
-        if not eqx.tree_equal(steering, rotor):
-            what = "phi and psi have different controllers, and a gait is designed for one"
-            raise InputError(what, "[actuator] of case.toml", "give both joints the same kp and kd")
-        return steering
+    def of(gait: AbstractInputs, names: Sequence[str] = JOINTS) -> "Controller":
+        """The controller of the inputs `names` of `gait`. **Raises:** `InputError` where they have different ones."""
+        signals = [gait.signal(name) for name in names]
+        each = [Controller(one.kp, one.kd) if isinstance(one, Tracked) else Controller() for one in signals]
+        if not all(eqx.tree_equal(each[0], other) for other in each[1:]):
+            what = f"{' and '.join(names)} have different controllers, and a gait is designed for one"
+            raise InputError(what, "[actuator] of case.toml", "give all joints the same kp and kd")
+        return each[0] if each else Controller()
 
-    def driven(self, command: Gait) -> Gait:
+    def driven(self, command: AbstractInputs) -> AbstractInputs:
         """The gait whose joints follow `command`."""
-        if self.kp is None:
+        kp, kd = self.kp, self.kd
+        if kp is None:
             return command
-        return Gait(Tracked(command.phi, self.kp, self.kd), Tracked(command.psi, self.kp, self.kd))
+        assert kd is not None
+        return each_changed(command, lambda signal: Tracked(signal, kp, kd))
 
 
 class RolloutSpec(eqx.Module):
@@ -59,7 +60,7 @@ class RolloutSpec(eqx.Module):
     start: Float[Array, " 3"]
     counts_effort: bool = eqx.field(static=True)
 
-    def gait(self, unknowns: Float[Array, " P"]) -> Gait:
+    def gait(self, unknowns: Float[Array, " P"]) -> AbstractInputs:
         """The gait of `unknowns`."""
         return self.driver.driven(self.shape.gait(unknowns))
 
@@ -71,10 +72,13 @@ class Rollouts(NamedTuple):
     effort: Scalar
 
 
-def rollout(model: Model, gait: Gait, times, start, counts_effort: bool, accuracy: Accuracy) -> Rollouts:
-    """Simulate one run; its poses are infinite if the simulation fails."""
+def rollout(model: Model, gait: AbstractInputs, times, start, counts_effort: bool, accuracy: Accuracy) -> Rollouts:
+    """Simulate one run; its poses are infinite if the simulation fails.
+
+    The effort is NaN where it is not counted, or where the torques of the vehicle are not known.
+    """
     trajectory = simulate(model, gait, times, start, accuracy=accuracy, throw=False)
-    if not counts_effort:
+    if not (counts_effort and model.board.knows_actuator_torques):
         return Rollouts(trajectory.pose, jnp.full((), jnp.nan))
     return Rollouts(trajectory.pose, effort(trajectory.times, torques(model, gait, trajectory)))
 

@@ -1,7 +1,7 @@
 """Gait optimisation within the limits of the joints, with the derivative of the simulation."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, TypedDict, Unpack
 
 import jax
@@ -12,13 +12,13 @@ from snakejax.core.errors import InputError
 from snakejax.core.jax_config import require_x64
 from snakejax.core.progress import Progress, no_progress
 from snakejax.core.tabular import Tabular
-from snakejax.dynamics.inputs import Gait
+from snakejax.dynamics.inputs import AbstractInputs, Gait
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.signals import Logged, Sines
 
 from .gait_families import GaitFamily, SumsOfSines
 from .gait_problem import MET, GaitProblem, Robustness, accurate, command, rollout_of
-from .limits import Limits, limits_of, peaks, within
+from .limits import Limits, input_names, limits_of, peaks, within
 from .objectives import Objective, Rollout
 from .rollouts import Controller, RolloutSpec
 from .slsqp import Minimum, minimise_from_starts
@@ -37,7 +37,7 @@ STEEPEST = 1.5
 class GaitResult(NamedTuple):
     """A gait, its `result` by the objective, and its run on the first board at `FRAME_RATE`."""
 
-    gait: Gait
+    gait: AbstractInputs
     result: Any
     run: Rollout
 
@@ -49,7 +49,7 @@ class TuningResult(Tabular):
     `before`: the best of the given gaits, scaled to the limits, or None; `after`: the optimised gait; `spread`: results
     of `after` on each further board (posterior samples of a fit); `reached`: proven upper bounds of angles, rates and
     accelerations of command and joint motion; `met`: whether the residual is satisfied; `simulations`: number of
-    simulated runs, `slopes` of them with derivatives.
+    simulated runs, `slopes` of them with derivatives; `units`: of the inputs by name.
     """
 
     before: GaitResult | None
@@ -62,10 +62,11 @@ class TuningResult(Tabular):
     met: bool
     simulations: int
     slopes: int
+    units: Mapping[str, str]
 
     def terms(self) -> dict[str, list[list[float]]]:
         """The gait in the form of `case.toml`. **Raises:** `ValueError` if it is not a sum of sines."""
-        return {name: sines(limits_of(getattr(self.after.gait, name))) for name in Limits._fields}
+        return {name: sines(limits_of(self.after.gait.signal(name))) for name in self.limits.names}
 
     def headline(self) -> str:
         """The objective before and after, and whether a target is reached."""
@@ -102,22 +103,25 @@ def sines(signal: Any) -> list[list[float]]:
     return [[float(number) for number in row] for row in table if abs(row[0]) > 1e-9]
 
 
-def joint_log(gait: Gait) -> str:
-    """A gait of natural splines as the CSV text of a joint log of its knots, for `case.toml`.
+def joint_log(gait: AbstractInputs) -> str:
+    """A gait of natural splines as the CSV text of a log of its knots, for `case.toml`.
 
     **Raises:** `ValueError` if the commands are not splines with the same knots.
     """
-    phi, psi = limits_of(gait.phi), limits_of(gait.psi)
-    if not (isinstance(phi, Logged) and isinstance(psi, Logged) and np.array_equal(phi.knots, psi.knots)):
+    signals = [limits_of(gait.signal(name)) for name in gait.names]
+    logs = [signal for signal in signals if isinstance(signal, Logged)]
+    if len(logs) < len(signals) or any(not np.array_equal(log.knots, logs[0].knots) for log in logs):
         raise ValueError("Only splines through the same knots make a joint log: write sines into case.toml.")
-    columns = (phi.knots, *(jax.vmap(signal.at)(phi.knots).angle for signal in (phi, psi)))
+    columns = (logs[0].knots, *(jax.vmap(log.at)(log.knots).angle for log in logs))
     rows = zip(*(np.asarray(column) for column in columns), strict=True)
-    return "\n".join(["time_s,phi_rad,psi_rad", *(",".join(f"{v:.17g}" for v in row) for row in rows)]) + "\n"
+    unit = "_rad" if isinstance(gait, Gait) else ""
+    head = ",".join(["time_s", *(f"{name}{unit}" for name in gait.names)])
+    return "\n".join([head, *(",".join(f"{v:.17g}" for v in row) for row in rows)]) + "\n"
 
 
 def band(limits: Limits, seconds: float) -> tuple[float, float]:
     """Bounds of the angular frequencies [rad/s] of a gait of `seconds` [s]; the lower one is half a cycle."""
-    ratios = [limit.rate / limit.angle for limit in limits if np.isfinite(limit.rate)]
+    ratios = [limit.rate / limit.angle for _, limit in limits.each if np.isfinite(limit.rate)]
     low = np.pi / seconds
     return low, max(BAND * max(ratios, default=3.0), 4 * low)
 
@@ -133,7 +137,7 @@ class TuningOptions(TypedDict, total=False):
     """
 
     driver: Controller | None
-    given: Sequence[Gait]
+    given: Sequence[AbstractInputs]
     shape: GaitFamily | None
     start: Sequence[float]
     over: Robustness
@@ -158,18 +162,18 @@ def tune(
 
     **Arguments:** `model`: one model, or several: the first is reported, the others (posterior samples of a fit) define
     the cost. `options`: see `TuningOptions`.
-    **Raises:** `InputError` for `seconds` not above 0 or a steering limit beyond `STEEPEST`; `RuntimeError` if no gait
-    can be simulated.
+    **Raises:** `InputError` for `seconds` not above 0, limits that are not those of the inputs of the vehicle, or a
+    steering limit beyond `STEEPEST`; `RuntimeError` if no gait can be simulated.
     """
     require_x64()
     boards = [model] if isinstance(model, Model) else list(model)
-    _require_possible(boards[0], limits, seconds)
+    _require_possible(boards[0], objective, limits, seconds)
     task = _problem(boards, objective, limits, seconds, options)
     driver, start = task.spec.driver, options.get("start", ORIGIN)
     known = [within(boards[0], driver.driven(command(g)), limits, seconds) for g in options.get("given", ())]
     minima, screened = _minima(task, known, options)
 
-    def gait_result(board: Model, gait: Gait) -> GaitResult:
+    def gait_result(board: Model, gait: AbstractInputs) -> GaitResult:
         run = accurate(board, gait, seconds, start)
         return GaitResult(gait, objective.result(rollout_of(run, task.spec.times)), run)
 
@@ -188,6 +192,7 @@ def tune(
         met=bool(np.all(np.abs(objective.residual(rollout_of(after.run, task.spec.times))) < MET)),
         simulations=screened + slopes,
         slopes=slopes,
+        units={one.name: one.unit for one in boards[0].board.inputs},
     )
 
 
@@ -197,7 +202,8 @@ def _problem(
     """The optimisation problem: the first of several `boards` is reported, the others define the cost."""
     driver, shape = options.get("driver"), options.get("shape")
     if shape is None:
-        shape = SumsOfSines((limits.phi.angle, limits.psi.angle), band(limits, seconds), TERMS)
+        angles = tuple(limit.angle for _, limit in limits.each)
+        shape = SumsOfSines(angles, band(limits, seconds), TERMS, limits.names)
     spec = RolloutSpec(
         shape,
         Controller() if driver is None else driver,
@@ -209,7 +215,7 @@ def _problem(
     return GaitProblem(boards[0], tuple(boards[1:] or boards), spec, objective, limits, seconds, over)
 
 
-def _minima(task: GaitProblem, known: Sequence[Gait], options: TuningOptions) -> tuple[list[Minimum], int]:
+def _minima(task: GaitProblem, known: Sequence[AbstractInputs], options: TuningOptions) -> tuple[list[Minimum], int]:
     """The minimum from each start, and the number of runs simulated to choose the starts.
 
     The worst of several costs is minimised in epigraph form, with its bound as one further unknown.
@@ -228,9 +234,19 @@ def _minima(task: GaitProblem, known: Sequence[Gait], options: TuningOptions) ->
     return minimise_from_starts(task.point, starts, bounds, most, progress, enough), screened
 
 
-def _require_possible(model: Model, limits: Limits, seconds: float) -> None:
+def _require_possible(model: Model, objective: Objective, limits: Limits, seconds: float) -> None:
+    if objective.counts_effort and not model.board.knows_actuator_torques:
+        what = f"The joint torques of a {model.board.noun} are not known, so its effort is not"
+        raise InputError(what, "option --objective", "take distance, turn or reach")
     if not (np.isfinite(seconds) and seconds > 0):
         raise InputError(f"A run cannot last {seconds:g} s", "option --seconds", "give a time above 0")
-    if limits.phi.angle > STEEPEST and not model.constraint.frees_wheels:
-        what = f"Steering by {limits.phi.angle:g} rad puts the wheelsets across the board"
-        raise InputError(what, "option --limit", f"write phi={STEEPEST:g} or less, or take --skid free")
+    if limits.names != (names := input_names(model)):
+        what = (
+            f"The limits are of {', '.join(limits.names) or 'nothing'}, but the inputs are {', '.join(names) or 'none'}"
+        )
+        raise InputError(what, "option --limit", "name the inputs of the vehicle")
+    for one in model.board.inputs:
+        steep = one.label == "steering" and limits[one.name].angle > STEEPEST
+        if steep and not model.constraint.frees_wheels:
+            what = f"Steering by {limits[one.name].angle:g} rad puts the wheels across the {model.board.noun}"
+            raise InputError(what, "option --limit", f"write {one.name}={STEEPEST:g} or less, or take --skid free")

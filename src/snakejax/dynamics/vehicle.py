@@ -185,6 +185,11 @@ class AbstractVehicle(Parametrised):
         """
         raise NotImplementedError(f"The torques of the joints of a {self.noun} are not known.")
 
+    @property
+    def knows_actuator_torques(self) -> bool:
+        """Whether the vehicle says its `actuator_torques`."""
+        return type(self).actuator_torques is not RigidVehicle.actuator_torques
+
     def with_centre_moved(self, ahead: Scalar) -> Self:
         """The vehicle with its centre of mass, the measured point, `ahead` [m] of where it was between the wheels.
 

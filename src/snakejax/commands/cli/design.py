@@ -95,6 +95,7 @@ def work(options: argparse.Namespace, case: Any, request: GaitRequest, say: Prog
     from snakejax.design.limits import Limits, reached_by
     from snakejax.design.rollouts import Controller
     from snakejax.present.as_json.provenance import heading_json, provenance_json
+    from snakejax.vehicles.snakeboard.board import Board
     from snakejax.vehicles.snakeboard.paper_examples import Preset
 
     from ..gaits import gaits_of
@@ -103,6 +104,9 @@ def work(options: argparse.Namespace, case: Any, request: GaitRequest, say: Prog
     if isinstance(case, Preset):
         what = "The next run is designed from the recorded runs of a case"
         raise InputError(what, WHERE, "name a recorded case")
+    if not isinstance(case.board, Board):
+        what = f"Runs are designed for a snakeboard, but the vehicle is a {case.board.noun}"
+        raise InputError(what, "argument CASE", "take a case of a snakeboard; `tune` takes any vehicle")
     require_strengths(effects or ())
     effects_by_name, fixed, fit_options = candidates(options, effects, case.board)
     clock = Stopwatch()
@@ -115,7 +119,7 @@ def work(options: argparse.Namespace, case: Any, request: GaitRequest, say: Prog
     information = prior_information(fit, effects_by_name, fixed)
     how = {
         "driver": Controller.of(gaits[0]) if gaits else Controller(),
-        "given": [gait for gait in gaits if gait.phi_back is None],
+        "given": [gait for gait in gaits if gait.names == limits.names],
         "start": request.start,
         "payload": payload,
         "seed": options.seed,

@@ -28,7 +28,8 @@ def add_gait(command: Any, objective: str, objectives: str) -> Any:
         metavar="phi=0.9,psi_rate=6.5",
         action="append",
         help="limits of the joints [rad, rad/s, rad/s^2]: phi, psi, phi_rate, psi_rate, phi_acceleration,"
-        " psi_acceleration (default: the largest angle and rate of the gaits of CASE)",
+        " psi_acceleration; of another vehicle by its inputs, as in handle=0.8,handle_rate=4 (default: the largest"
+        " angle and rate of the gaits of CASE)",
     )
     group.add_argument(
         "--payload",

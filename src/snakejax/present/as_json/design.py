@@ -17,6 +17,7 @@ def tuned_json(tuned: TuningResult, objective: str, over: str) -> dict[str, Any]
         "gait": tuned.terms(),
         "objective": tuned.after.result,
         "start": list(tuned.start),
+        "units": {name: tuned.units[name] for name in tuned.limits.names},
         "limits": {name: value for name, value in tuned.limits.named().items() if math.isfinite(value)},
         "asked": objective,
         "duration_s": tuned.seconds,
@@ -34,9 +35,10 @@ def journey_json(journey: GaitResult) -> dict[str, Any]:
     """A gait, its result, and its path with the joint angles at 25 Hz."""
     times = np.asarray(journey.run.times)[::4]
     pose = np.asarray(journey.run.pose)[::4]
-    joints = {n: np.asarray(jax.vmap(getattr(journey.gait, n).at)(times).angle) for n in ("phi", "psi")}
+    signals = {name: journey.gait.signal(name) for name in journey.gait.names}
+    joints = {name: np.asarray(jax.vmap(signal.at)(times).angle) for name, signal in signals.items()}
     try:
-        gait = {name: sines(limits_of(getattr(journey.gait, name))) for name in ("phi", "psi")}
+        gait = {name: sines(limits_of(signal)) for name, signal in signals.items()}
     except ValueError:
         gait = None
     path = {"t": times, "x": pose[:, 0], "y": pose[:, 1], "heading": pose[:, 2], **joints}

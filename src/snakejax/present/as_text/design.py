@@ -1,6 +1,7 @@
 """Tuned gaits and designed runs as text."""
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,7 @@ from rich.console import Group
 from rich.text import Text
 
 from snakejax.design.experiments import DiscriminationDesign, PrecisionDesign
+from snakejax.design.limits import QUANTITIES
 from snakejax.design.tuning import TuningResult
 
 from .errors import POSE_ERRORS, milli_text, missed_text
@@ -39,10 +41,12 @@ def report(name: str, objective: str, tuned: TuningResult, over: str, with_paylo
 
 def gait_table(tuned: TuningResult) -> Any:
     """The terms of the tuned gait."""
-    gait = plain_table("joint", "amplitude\n[rad]", "frequency\n[rad/s]", "phase\n[rad]")
-    for joint, terms in tuned.terms().items():
+    units = [*dict.fromkeys(tuned.units[name] for name in tuned.limits.names)]
+    amplitude = f"amplitude\n[{units[0]}]" if len(units) == 1 else "amplitude"
+    gait = plain_table("input", amplitude, "frequency\n[rad/s]", "phase\n[rad]")
+    for name, terms in tuned.terms().items():
         for term in terms:
-            add_row(gait, joint, *(f"{number:.5f}" for number in term))
+            add_row(gait, name, *(f"{number:.5f}" for number in term))
     return indented(gait)
 
 
@@ -50,8 +54,13 @@ def _tuned_for(over: str) -> str:
     return "tuned for the model itself" if over == "fit" else f"tuned for the {over} over samples of the fit"
 
 
-LIMIT_UNITS = {"rate": "rad/s", "acceleration": "rad/s^2"}
-"""Units of the limits of a joint, by the word behind the joint; that of an angle is rad."""
+PER_TIME = {
+    "rad": ("rad", "rad/s", "rad/s^2"),
+    "m/s": ("m/s", "m/s^2", "m/s^3"),
+    "N m": ("N m", "N m/s", "N m/s^2"),
+    "-": ("-", "1/s", "1/s^2"),
+}
+"""By the unit of an input, those of the limits of its value, rate and acceleration."""
 UNITS = {"distance": ("distance [m]", 1.0), "turn": ("turn [rad]", 1.0)}
 
 
@@ -67,15 +76,20 @@ def _spread(spread: list[Any]) -> str:
     return f"mean {np.mean(spread):.4f}, from {min(spread):.4f} to {max(spread):.4f}"
 
 
-def limit_unit(name: str) -> str:
-    """The unit of a limit, such as `phi_rate`."""
-    return LIMIT_UNITS.get(name.rpartition("_")[2], "rad")
+def limit_unit(name: str, units: Mapping[str, str]) -> str:
+    """The unit of a limit such as `phi_rate`, from the units of the inputs."""
+    known = {
+        f"{one}{behind}": unit
+        for one, base in units.items()
+        for behind, unit in zip(QUANTITIES, PER_TIME[base], strict=True)
+    }
+    return known[name]
 
 
 def limits_line(tuned: TuningResult) -> str:
     """The largest angles and rates of a gait, and their limits."""
     parts = [
-        f"{name} {tuned.reached[name]:.4g} of {most:.4g} {limit_unit(name)}"
+        f"{name} {tuned.reached[name]:.4g} of {most:.4g} {limit_unit(name, tuned.units)}"
         for name, most in tuned.limits.named().items()
         if math.isfinite(most)
     ]

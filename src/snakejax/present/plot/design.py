@@ -21,7 +21,7 @@ def tuned(result: Mapping[str, Any]) -> Figure:
     spread = _numbers(result["spread"])
     figure = Figure(figsize=(11.0 if spread.size else 8.6, 4.2), layout="constrained")
     columns = [1.3, 1.3] + ([0.7] if spread.size else [])
-    grid = figure.add_gridspec(2, len(columns), width_ratios=columns)
+    grid = figure.add_gridspec(len(result["units"]), len(columns), width_ratios=columns)
     _path_and_joints(figure, grid, result)
     if spread.size:
         axis = figure.add_subplot(grid[:, 2])
@@ -38,7 +38,7 @@ def designed(result: Mapping[str, Any]) -> Figure:
     **Arguments:** `result`: the JSON of `snakejax tune --objective separate` or `information`.
     """
     figure = Figure(figsize=(11.0, 4.2), layout="constrained")
-    grid = figure.add_gridspec(2, 3, width_ratios=[1.1, 1.1, 1.2])
+    grid = figure.add_gridspec(len(result["units"]), 3, width_ratios=[1.1, 1.1, 1.2])
     _path_and_joints(figure, grid, result)
     axis = figure.add_subplot(grid[:, 2])
     if "separate" in result:
@@ -62,20 +62,24 @@ def designed(result: Mapping[str, Any]) -> Figure:
 
 
 def _path_and_joints(figure: Figure, grid: Any, result: Mapping[str, Any]) -> None:
-    path, unit = figure.add_subplot(grid[:, 0]), OBJECTIVE_UNITS.get(result["asked"], "")
-    joints = [figure.add_subplot(grid[k, 1]) for k in range(2)]
+    path, objective_unit = figure.add_subplot(grid[:, 0]), OBJECTIVE_UNITS.get(result["asked"], "")
+    units = result["units"]
+    joints = [figure.add_subplot(grid[k, 1]) for k in range(len(units))]
     for side, colour, label in SIDES:
         if (journey := result[side]) is None:
             continue
         line, objective = journey["path"], journey["objective"]
         x, y, heading = (np.asarray(line[name]) for name in ("x", "y", "heading"))
         path.plot(
-            x, y, color=colour, label=label if objective is None else f"{label}: {_objective_text(objective, unit)}"
+            x,
+            y,
+            color=colour,
+            label=label if objective is None else f"{label}: {_objective_text(objective, objective_unit)}",
         )
         marked = slice(None, None, max(len(x) // 12, 1))
         arrows = {"color": colour, "angles": "xy", "width": 0.005, "scale": 18}
         path.quiver(x[marked], y[marked], np.cos(heading[marked]), np.sin(heading[marked]), **arrows)
-        for axis, name in zip(joints, ("phi", "psi"), strict=True):
+        for axis, name in zip(joints, units, strict=True):
             axis.plot(line["t"], line[name], color=colour, lw=1)
     if (target := target_pose(result["asked"])) is not None:
         x, y, heading = target
@@ -84,11 +88,11 @@ def _path_and_joints(figure: Figure, grid: Any, result: Mapping[str, Any]) -> No
     path.set(xlabel="x [m]", ylabel="y [m]", title=f"{result['case']}: {result['asked'].partition(':')[0]}")
     path.set_aspect("equal", adjustable="datalim")
     path.legend(fontsize="small")
-    for axis, name in zip(joints, ("phi", "psi"), strict=True):
+    for axis, (name, unit) in zip(joints, units.items(), strict=True):
         for sign in (-1, 1):
             axis.axhline(sign * result["limits"][name], color=LIMIT, ls="--", lw=1)
-        axis.set(ylabel=f"{name} [rad]")
-    joints[1].set(xlabel="t [s]")
+        axis.set(ylabel=f"{name} [{unit}]")
+    joints[-1].set(xlabel="t [s]")
 
 
 def _first(value: Any) -> float:

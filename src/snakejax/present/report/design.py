@@ -61,6 +61,10 @@ def _objective_text(objective: Any, unit: str = "") -> str:
     return f"{objective:.4g}{unit}"
 
 
+WORDS = {"phi": "steering", "psi": "rotor"}
+"""Words for the joints of a snakeboard."""
+
+
 def _sides(result: Json) -> Iterator[tuple[str, str, LineStyle, Json]]:
     for key, (label, look) in SIDES.items():
         if result[key] is not None:
@@ -80,16 +84,18 @@ def _gait(result: Json) -> Section:
     if target is not None:
         traces.append(_strokes([[part] for part in target], 2 * length, MEASURED))
     charts = [Chart("path", "The path, x against y.", tuple(traces), axes("x [m]", "y [m]", **EQUAL), 380)]
-    for joint, words in (("phi", "steering"), ("psi", "rotor")):
+    for joint, unit in result["units"].items():
+        words = WORDS.get(joint, joint)
         drawn = [line(path["t"], path[joint], label, look) for _, label, look, path in _sides(result)]
-        layout = axes("time [s]", f"{words}, {joint} [rad]")
+        layout = axes("time [s]", f"{words}, {joint} [{unit}]" if joint in WORDS else f"{joint} [{unit}]")
         if joint in result["limits"]:
             most = result["limits"][joint]
             ends = {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "line": {"dash": "dot", "width": 1.5}}
             layout["shapes"] = [{**ends, "y0": sign * most, "y1": sign * most} for sign in (-1, 1)]
-        charts.append(Chart(joint, f"The {words} angle over time.", tuple(drawn), layout, 260))
+        caption = f"The {words} angle over time." if joint in WORDS else f"The input {joint} over time."
+        charts.append(Chart(joint, caption, tuple(drawn), layout, 260))
     text = (
-        "The board starts at rest. Short strokes show its heading; dotted lines are the limits of the joints."
+        "The run starts at rest. Short strokes show the heading; dotted lines are the limits of the inputs."
         f" It ends at {'; '.join(_end(label, path) for _, label, _, path in sides)}."
     )
     return Section("gait", "The gait", (text,), tuple(charts))
@@ -119,14 +125,16 @@ def _numbers(result: Json) -> Section:
         for joint, terms in result["gait"].items()
         for k, term in enumerate(terms)
     ]
-    heads = ("joint", "#amplitude [rad]", "#frequency [rad/s]", "#phase [rad]")
+    units = [*dict.fromkeys(result["units"].values())]
+    amplitude = f"#amplitude [{units[0]}]" if len(units) == 1 else "#amplitude"
+    heads = ("input", amplitude, "#frequency [rad/s]", "#phase [rad]")
     limits = [
         Row(
             cells(
                 name,
                 Cell(number(value), f"limits.{name}"),
                 Cell(number(result["reached"][name]), f"reached.{name}"),
-                limit_unit(name),
+                limit_unit(name, result["units"]),
             )
         )
         for name, value in result["limits"].items()
