@@ -369,6 +369,7 @@ def test_a_title_is_not_precise_to_nanometres() -> None:
     tuned = {"schema": 1, "case": "small", "model": "pacejka", "skid": "free", "provenance": provenance_json(0, {}, {})}
     tuned |= {"asked": "reach:0.5,0.3,1", "duration_s": 8.0, "start": [0.0, 0.0, 0.0], "objective": missed, "met": True}
     tuned |= {"gait": {"phi": [[0.3, 4.0, 0.1]], "psi": [[1.0, 4.0, 0.0]]}, "limits": {"phi": 0.9, "psi": 1.6}}
+    tuned |= {"units": {"phi": "rad", "psi": "rad"}}
     tuned |= {
         "reached": {"phi": 0.31, "psi": 1.0},
         "before": {**side, "objective": far},

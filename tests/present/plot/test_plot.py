@@ -276,6 +276,7 @@ def test_results_of_a_gait_have_units() -> None:
     t = [0.1 * k for k in range(20)]
     path = dict.fromkeys(("t", "x", "y", "heading", "phi", "psi"), t)
     result = {"case": "small", "asked": "distance", "objective": 1.25, "limits": {"phi": 0.9, "psi": 1.6}}
+    result |= {"units": {"phi": "rad", "psi": "rad"}}
     sides = {"before": {"path": path, "objective": 0.5}, "after": {"path": path, "objective": 1.25}}
     figure = plot.tuned({**result, **sides, "spread": [1.2, 1.3]})
     legend = figure.axes[0].get_legend()

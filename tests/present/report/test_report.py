@@ -177,6 +177,7 @@ def test_a_tuned_gait(browser, tmp_path) -> None:
     gait = {"phi": [[0.3, 4.0, 0.1]], "psi": [[1.0, 4.0, 0.0], [0.1, 8.0, 0.2]]}
     limits = {"phi": 0.9, "psi_rate": 6.5}
     result = {**HEAD, "asked": "distance", "duration_s": 8.0, "start": [0.0, 0.0, 0.0], "objective": 1.25, "met": True}
+    result |= {"units": {"phi": "rad", "psi": "rad"}}
     result |= {"gait": gait, "limits": limits, "reached": {"phi": 0.31, "psi_rate": 4.8}}
     result |= {"before": side, "after": {**side, "objective": 1.25}, "spread": [1.2, 1.3, 1.1]}
     seen = Seen(browser, written(tmp_path, tune_page(result)))
