@@ -145,8 +145,15 @@ def test_the_options_of_a_car_are_those_of_its_vehicle(car: Path, capsys: pytest
     assert "There is no effect `rotor_lag`" in capsys.readouterr().err
 
 
-def test_a_car_is_not_tuned(car: Path, capsys: pytest.CaptureFixture) -> None:
-    with pytest.raises(sj.InputError, match="those of a snakeboard, but the vehicle is a car"):
+def test_what_a_gait_of_a_car_needs(car: Path, capsys: pytest.CaptureFixture) -> None:
+    """Its recorded commands jump, so they set no limits; runs that tell effects apart are those of a snakeboard."""
+    with pytest.raises(sj.InputError, match="Nothing limits `steer`"):
         sj.tune(Model(Car(**DART), Pacejka(6.0, 1.4, 6.0, 0.1), "free"), seconds=2)
-    assert main(["tune", str(car), "--objective", "distance", "--seconds", "2"]) == 2
-    assert "those of a snakeboard, but the vehicle is a car" in capsys.readouterr().err
+    values = ",".join(f"{name}={value}" for name, value in TYRES.items())
+    tune = ["tune", str(car), "--objective", "distance", "--seconds", "2", "--set", values]
+    assert main([*tune, "--limit", "steer=0.5"]) == 2
+    assert "Nothing limits `drive`" in capsys.readouterr().err
+    assert main([*tune, "--limit", "phi=0.5"]) == 2
+    assert "There is no limit `phi`" in capsys.readouterr().err
+    assert main(["design", str(car), "--objective", "information"]) == 2
+    assert "designed for a snakeboard, but the vehicle is a car" in capsys.readouterr().err
