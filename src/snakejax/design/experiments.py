@@ -312,4 +312,4 @@ def _unlike(runs: Sequence[Run]) -> list[Run]:
 
 
 def _reversed(gait: Gait, driver: Controller) -> Gait:
-    return as_gait(driver.driven(Gait(limits_of(gait.phi), scaled(limits_of(gait.psi), -1.0))))
+    return driver.driven(Gait(limits_of(gait.phi), scaled(limits_of(gait.psi), -1.0)))

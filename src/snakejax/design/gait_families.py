@@ -192,12 +192,6 @@ def spline(times: Sequence[float] | np.ndarray) -> Callable[[Float[Array, " n"]]
     return lambda angles: Logged(knots, jnp.einsum("cpn,n->cp", weights, angles))
 
 
-def each_changed(gait: AbstractInputs, change: Callable[[AbstractSignal], AbstractSignal]) -> AbstractInputs:
-    """`gait` with `change` applied to the signal of each input."""
-    changed = {name: change(gait.signal(name)) for name in gait.names}
-    return Gait(**changed) if isinstance(gait, Gait) else Inputs(changed)
-
-
 def scaled(signal: AbstractSignal, factor: float | Scalar) -> AbstractSignal:
     """The command with its angle multiplied by `factor`. **Raises:** `TypeError` if it is neither sines nor a log."""
     if isinstance(signal, Sines):

@@ -10,11 +10,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from snakejax.core.parameter import Scalar
-from snakejax.dynamics.inputs import AbstractInputs
+from snakejax.dynamics.inputs import AbstractInputs, G, with_signals
 from snakejax.dynamics.model import Model
 from snakejax.simulation.integrate import Accuracy
 
-from .gait_families import each_changed
 from .limits import Limits, limits_of, slack
 from .objectives import FRAME_RATE, Objective, Rollout
 from .rollouts import Rollouts, RolloutSpec, rollout, rollout_jacobian, rollouts
@@ -197,6 +196,6 @@ def rollout_of(run: Rollout, times) -> Rollout:
     return Rollout(jnp.asarray(times), run.pose[frames], run.effort)
 
 
-def command(gait: AbstractInputs) -> AbstractInputs:
+def command(gait: G) -> G:
     """The commands that the joints of `gait` follow."""
-    return each_changed(gait, limits_of)
+    return with_signals(gait, limits_of)

@@ -10,13 +10,13 @@ from jaxtyping import Array, Float
 
 from snakejax.core.errors import InputError
 from snakejax.core.parameter import Parametrised, Scalar, param
-from snakejax.dynamics.inputs import AbstractInputs
+from snakejax.dynamics.inputs import AbstractInputs, G, with_signals
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.signals import Tracked
 from snakejax.simulation.integrate import Accuracy, simulate
 from snakejax.simulation.inverse_dynamics import effort, torques
 
-from .gait_families import JOINTS, GaitFamily, each_changed
+from .gait_families import JOINTS, GaitFamily
 
 ACCURACY = Accuracy(rtol=1e-6, atol=1e-8, max_steps=65536, derivative="forward")
 """Accuracy of the search; the result is simulated again with higher accuracy."""
@@ -38,13 +38,13 @@ class Controller(Parametrised):
             raise InputError(what, "[actuator] of case.toml", "give all joints the same kp and kd")
         return each[0] if each else Controller()
 
-    def driven(self, command: AbstractInputs) -> AbstractInputs:
+    def driven(self, command: G) -> G:
         """The gait whose joints follow `command`."""
         kp, kd = self.kp, self.kd
         if kp is None:
             return command
         assert kd is not None
-        return each_changed(command, lambda signal: Tracked(signal, kp, kd))
+        return with_signals(command, lambda signal: Tracked(signal, kp, kd))
 
 
 class RolloutSpec(eqx.Module):

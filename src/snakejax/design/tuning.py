@@ -192,7 +192,7 @@ def tune(
         met=bool(np.all(np.abs(objective.residual(rollout_of(after.run, task.spec.times))) < MET)),
         simulations=screened + slopes,
         slopes=slopes,
-        units={one.name: one.unit for one in boards[0].board.inputs},
+        units={one.name: one.unit for one in boards[0].board.inputs if one.name in limits.names},
     )
 
 

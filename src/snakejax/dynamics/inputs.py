@@ -127,6 +127,15 @@ def logs_of(gait: AbstractInputs) -> list[Logged]:
 G = TypeVar("G", bound=AbstractInputs)
 
 
+def _is_signal(part: Any) -> bool:
+    return isinstance(part, AbstractSignal)
+
+
+def with_signals(gait: G, change: Callable[[AbstractSignal], AbstractSignal]) -> G:
+    """`gait` with `change` applied to the signal of each input."""
+    return jax.tree.map(change, gait, is_leaf=_is_signal)
+
+
 def with_logs(gait: G, change: Callable[[Logged], Logged]) -> G:
     """`gait` with `change` applied to each of its logs."""
     return jax.tree.map(

@@ -188,7 +188,7 @@ class AbstractVehicle(Parametrised):
     @property
     def knows_actuator_torques(self) -> bool:
         """Whether the vehicle says its `actuator_torques`."""
-        return type(self).actuator_torques is not RigidVehicle.actuator_torques
+        return type(self).actuator_torques is not AbstractVehicle.actuator_torques
 
     def with_centre_moved(self, ahead: Scalar) -> Self:
         """The vehicle with its centre of mass, the measured point, `ahead` [m] of where it was between the wheels.

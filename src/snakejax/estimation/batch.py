@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from snakejax.dynamics.inputs import AbstractInputs, Gait
+from snakejax.dynamics.inputs import AbstractInputs, Gait, with_signals
 from snakejax.dynamics.sampled_signals import Held, LaggedHold, LaggedSines, Shaped, lagged
 from snakejax.dynamics.signals import AbstractSignal, Logged, Scaled, Sines, Tracked
 from snakejax.recording.run import Noise, Run
@@ -112,14 +112,10 @@ def stacked_gaits(gaits: Sequence[AbstractInputs], until: float) -> AbstractInpu
     if any(gait.phi_back is not None for gait in boards):
         gaits = [Gait(g.phi, g.psi, Scaled(g.phi, -1.0) if g.phi_back is None else g.phi_back) for g in boards]
     if len({_kinds(gait) for gait in gaits}) > 1:
-        gaits = [jax.tree.map(lambda s: _sampled(s, until), gait, is_leaf=_is_signal) for gait in gaits]
+        gaits = [with_signals(gait, lambda s: _sampled(s, until)) for gait in gaits]
     sizes = [leaf.shape[-1] for gait in gaits for leaf in jax.tree.leaves(gait) if leaf.ndim]
     gaits = [_padded(gait, max(sizes, default=0)) for gait in gaits]
     return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]), *gaits)
-
-
-def _is_signal(node) -> bool:
-    return isinstance(node, AbstractSignal)
 
 
 def _kinds(gait: AbstractInputs) -> str:
@@ -147,4 +143,4 @@ def _padded(gait: AbstractInputs, size: int) -> AbstractInputs:
             return eqx.tree_at(lambda s: s.signal, signal, pad(signal.signal))
         return signal
 
-    return jax.tree.map(pad, gait, is_leaf=_is_signal)
+    return with_signals(gait, pad)

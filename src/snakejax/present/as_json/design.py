@@ -17,7 +17,7 @@ def tuned_json(tuned: TuningResult, objective: str, over: str) -> dict[str, Any]
         "gait": tuned.terms(),
         "objective": tuned.after.result,
         "start": list(tuned.start),
-        "units": {name: tuned.units[name] for name in tuned.limits.names},
+        "units": dict(tuned.units),
         "limits": {name: value for name, value in tuned.limits.named().items() if math.isfinite(value)},
         "asked": objective,
         "duration_s": tuned.seconds,

@@ -41,9 +41,7 @@ def report(name: str, objective: str, tuned: TuningResult, over: str, with_paylo
 
 def gait_table(tuned: TuningResult) -> Any:
     """The terms of the tuned gait."""
-    units = [*dict.fromkeys(tuned.units[name] for name in tuned.limits.names)]
-    amplitude = f"amplitude\n[{units[0]}]" if len(units) == 1 else "amplitude"
-    gait = plain_table("input", amplitude, "frequency\n[rad/s]", "phase\n[rad]")
+    gait = plain_table("input", amplitude_head(tuned.units, "\n"), "frequency\n[rad/s]", "phase\n[rad]")
     for name, terms in tuned.terms().items():
         for term in terms:
             add_row(gait, name, *(f"{number:.5f}" for number in term))
@@ -74,6 +72,12 @@ def _spread(spread: list[Any]) -> str:
     if isinstance(spread[0], dict):
         return f"missed by up to {missed_text({key: max(result[key] for result in spread) for key in POSE_ERRORS})}"
     return f"mean {np.mean(spread):.4f}, from {min(spread):.4f} to {max(spread):.4f}"
+
+
+def amplitude_head(units: Mapping[str, str], between: str = " ") -> str:
+    """The head of a column of amplitudes, with the unit of the inputs where all have the same; `between` the two."""
+    each = set(units.values())
+    return f"amplitude{between}[{each.pop()}]" if len(each) == 1 else "amplitude"
 
 
 def limit_unit(name: str, units: Mapping[str, str]) -> str:

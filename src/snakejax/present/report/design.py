@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..as_json.values import Json
-from ..as_text.design import limit_unit
+from ..as_text.design import amplitude_head, limit_unit
 from ..as_text.errors import OBJECTIVE_UNITS, POSE_ERRORS, missed_text, target_pose
 from ..as_text.tables import number
 from ..style import BASE, HELDOUT, MEASURED, TRAIN, LineStyle
@@ -85,14 +85,14 @@ def _gait(result: Json) -> Section:
         traces.append(_strokes([[part] for part in target], 2 * length, MEASURED))
     charts = [Chart("path", "The path, x against y.", tuple(traces), axes("x [m]", "y [m]", **EQUAL), 380)]
     for joint, unit in result["units"].items():
-        words = WORDS.get(joint, joint)
+        words = WORDS.get(joint, "")
         drawn = [line(path["t"], path[joint], label, look) for _, label, look, path in _sides(result)]
-        layout = axes("time [s]", f"{words}, {joint} [{unit}]" if joint in WORDS else f"{joint} [{unit}]")
+        layout = axes("time [s]", f"{words}, {joint} [{unit}]" if words else f"{joint} [{unit}]")
         if joint in result["limits"]:
             most = result["limits"][joint]
             ends = {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "line": {"dash": "dot", "width": 1.5}}
             layout["shapes"] = [{**ends, "y0": sign * most, "y1": sign * most} for sign in (-1, 1)]
-        caption = f"The {words} angle over time." if joint in WORDS else f"The input {joint} over time."
+        caption = f"The {words} angle over time." if words else f"The input {joint} over time."
         charts.append(Chart(joint, caption, tuple(drawn), layout, 260))
     text = (
         "The run starts at rest. Short strokes show the heading; dotted lines are the limits of the inputs."
@@ -125,9 +125,7 @@ def _numbers(result: Json) -> Section:
         for joint, terms in result["gait"].items()
         for k, term in enumerate(terms)
     ]
-    units = [*dict.fromkeys(result["units"].values())]
-    amplitude = f"#amplitude [{units[0]}]" if len(units) == 1 else "#amplitude"
-    heads = ("input", amplitude, "#frequency [rad/s]", "#phase [rad]")
+    heads = ("input", f"#{amplitude_head(result['units'])}", "#frequency [rad/s]", "#phase [rad]")
     limits = [
         Row(
             cells(

@@ -22,7 +22,7 @@ from ..run import Run
 from .conventions import evidence_in
 from .finding import Finding
 from .joint_motion import JointMotion, angles, joint_motion
-from .push import RunMotion, motions, pushes, together
+from .push import RunMotion, pushes, together
 
 TURN = 2 * np.pi
 BELIEVED = 0.25
@@ -47,17 +47,20 @@ def frequencies(runs: Sequence[Run], board: Board) -> list[Finding]:
     """Frequencies of `runs` with which no board moves as this does, though with 2 pi times as large ones one would, or
     with as much smaller ones.
     """
-    besides = [(run, motion) for run in runs if _periodic(run) and (motion := joint_motion(run, 0.0)) is not None]
-    moving = [any(_tones(getattr(run.gait, name)).size for run, _ in besides) for name in ("phi", "psi")]
+    besides = [
+        (run, motion, RunMotion.of(run))
+        for run in runs
+        if _periodic(run) and (motion := joint_motion(run, 0.0)) is not None
+    ]
+    moving = [any(_tones(getattr(run.gait, name)).size for run, *_ in besides) for name in ("phi", "psi")]
     paces = itertools.product(*((1.0, TURN, 1 / TURN) if moves else (1.0,) for moves in moving))
-    watched = motions([run for run, _ in besides])
-    tried = [_tried(besides, watched, board, pace) for pace in paces] if besides else []
+    tried = [_tried(besides, board, pace) for pace in paces] if besides else []
     if not tried or (given := tried[0]) is None:
         return []
     best = min((one for one in tried if one is not None), key=lambda one: one.yaw * one.push)
     if best.yaw > HARDLY or not best.yaw * best.push < BELIEVED * given.yaw * given.push:
         return []
-    return [_finding(*besides[int(np.argmax(given.each - best.each))], best.pace)]
+    return [_finding(*besides[int(np.argmax(given.each - best.each))][:2], best.pace)]
 
 
 def _finding(run: Run, motion: JointMotion, pace: Pace) -> Finding:
@@ -74,15 +77,14 @@ def _finding(run: Run, motion: JointMotion, pace: Pace) -> Finding:
     return Finding("frequency_unit", what, remedy, 0.0, 0.0, size=TURN, severity="refused")
 
 
-def _tried(
-    besides: Sequence[tuple[Run, JointMotion]], watched: Sequence[RunMotion], board: Board, pace: Pace
-) -> _Tried | None:
-    evidence = []
-    for run, motion in besides:
+def _tried(besides: Sequence[tuple[Run, JointMotion, RunMotion | None]], board: Board, pace: Pace) -> _Tried | None:
+    evidence, paced = [], []
+    for run, motion, watched in besides:
         gait = _at_pace(as_gait(run.gait), pace)
         phi, psi = (angles(signal, motion.fine) for signal in (gait.phi, gait.psi))
         evidence.append(evidence_in(motion._replace(phi=phi, psi=psi)))
-    push = together(pushes([motion._replace(gait=_at_pace(motion.gait, pace)) for motion in watched], board))
+        paced += [] if watched is None else [watched._replace(gait=gait)]
+    push = together(pushes(paced, board))
     square = sum(one.square for one in evidence)
     if push is None or not square > 0:
         return None
