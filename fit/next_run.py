@@ -23,7 +23,7 @@ from matplotlib.figure import Figure  # noqa: E402
 from snakejax.core.files import write_whole  # noqa: E402
 from snakejax.core.parameter import with_parameters  # noqa: E402
 from snakejax.effects import LIBRARY  # noqa: E402
-from snakejax.estimation.multiple_shooting import linearise_windows  # noqa: E402
+from snakejax.estimation.block_linearisation import linearise_runs  # noqa: E402
 from snakejax.estimation.problem import Problem  # noqa: E402
 from snakejax.estimation.replay import replay  # noqa: E402
 from snakejax.present import plot  # noqa: E402
@@ -101,7 +101,7 @@ def proved(fit: sj.Fit, known: sj.PriorInformation, design: sj.DiscriminationDes
         return whole * weight
 
     base = whitened(replay(known.model, runs, starts))
-    J = -linearise_windows(problem, problem.values(), starts, range(len(runs))).jacobian
+    J = -linearise_runs(problem, problem.values(), starts, range(len(runs))).jacobian
     rng, right = np.random.default_rng(1), np.zeros(2)
     for truth in design.effects:
         part = {known.names[k]: design.strengths[known.names[k]] for k in known.places[truth]}

@@ -11,9 +11,9 @@ from snakejax.core.parameter import parameters, with_parameters
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.ports import Effect
+from snakejax.estimation.block_linearisation import linearise_runs
 from snakejax.estimation.fit_record import Fit
 from snakejax.estimation.linearisation import domains_of, project_out_starts
-from snakejax.estimation.multiple_shooting import linearise_windows
 from snakejax.estimation.problem import Problem
 from snakejax.estimation.sensitivity import DETECTABLE_SD, Sensitivities
 
@@ -163,9 +163,7 @@ def prior_information(fit: Fit, library: Mapping[str, Effect], held: Collection[
             names += parameter_names
     problem = Problem.of(model, fit.recordings, fit.fitted.noise, names, max(len(names), 1))
     train, values, start = problem.run_indices("train"), problem.values(), fit.fitted.starts
-    sensitivities = Sensitivities(
-        problem, tuple(train), values, start, linearise_windows(problem, values, start, train)
-    )
+    sensitivities = Sensitivities(problem, tuple(train), values, start, linearise_runs(problem, values, start, train))
     probes = {f"effects.{name}.{part}": value for name in places for part, value in library[name].secant_step.items()}
     probes = {name: secant_step for name, secant_step in probes.items() if name not in held}
     sensitivities = sensitivities.probed(probes) if probes else sensitivities

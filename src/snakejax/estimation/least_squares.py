@@ -1,5 +1,6 @@
 """Least squares over whole runs: the fit by Levenberg-Marquardt, of many runs with their start states eliminated."""
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -107,7 +108,14 @@ def _solve(model, at: Variables, batch: Batch, selection, inverse_damping, prior
 _linearise = eqx.filter_jit(linearise)
 
 
-def _in_threads(model, at: Variables, batch: Batch, runs: list[int], accuracy, z, starts) -> Linearised:
+def in_threads(share: Callable[[list[int]], Linearised], runs: list[int]) -> Linearised:
+    """The `runs` linearised by `THREADS` threads, each of which linearises its `share` of them and no other."""
+    with ThreadPoolExecutor(THREADS) as pool:
+        shares = list(pool.map(share, [runs[k::THREADS] for k in range(THREADS)]))
+    return Linearised(*(sum(parts[1:], parts[0]) for parts in zip(*shares, strict=True)))
+
+
+def linearise_in_threads(model, at: Variables, batch: Batch, runs: list[int], accuracy, z, starts) -> Linearised:
     """`linearise` of the `runs`, shared by `THREADS` threads."""
 
     def share(part: list[int]) -> Linearised:
@@ -115,9 +123,7 @@ def _in_threads(model, at: Variables, batch: Batch, runs: list[int], accuracy, z
         done = _linearise(model, at, batch, order, count, jnp.asarray(z), jnp.asarray(starts), accuracy)
         return Linearised(*(np.asarray(leaf) for leaf in done))
 
-    with ThreadPoolExecutor(THREADS) as pool:
-        shares = list(pool.map(share, [runs[k::THREADS] for k in range(THREADS)]))
-    return Linearised(*(sum(parts[1:], parts[0]) for parts in zip(*shares, strict=True)))
+    return in_threads(share, runs)
 
 
 def _solved_by_elimination(model, at: Variables, batch: Batch, runs: list[int], accuracy, settings, prior):
@@ -129,7 +135,7 @@ def _solved_by_elimination(model, at: Variables, batch: Batch, runs: list[int], 
     def at_point(z: np.ndarray, starts: np.ndarray, numbers: np.ndarray) -> Linearised:
         all_starts = np.zeros_like(free_start)
         all_starts[runs] = starts
-        return _in_threads(model, at, batch, [runs[k] for k in numbers], accuracy, z, all_starts)
+        return linearise_in_threads(model, at, batch, [runs[k] for k in numbers], accuracy, z, all_starts)
 
     def of_runs(z: np.ndarray, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         linearised = at_point(z, starts, np.arange(len(runs)))
@@ -203,6 +209,8 @@ def evaluate(model: Model, at: Variables, batch: Batch, runs: list[int], accurac
     if batch.start.shape[0] > MANY:
         moved = narrowed(at)
         kept = moved.directions.shape[0]
-        linearised = _in_threads(model, moved, batch, runs, accuracy, np.zeros(kept), np.zeros(batch.start.shape))
+        linearised = linearise_in_threads(
+            model, moved, batch, runs, accuracy, np.zeros(kept), np.zeros(batch.start.shape)
+        )
         return widened(linearised, len(at.directions) - kept, kept)
     return solve(model, at, batch, runs, accuracy, SolverSettings(most=1)).linearised

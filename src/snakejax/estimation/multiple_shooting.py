@@ -6,7 +6,6 @@ small, and the change that a candidate effect makes is of comparable size.
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import equinox as eqx
@@ -14,31 +13,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from snakejax.core.local_polynomials import local_cubics
-from snakejax.core.parameter import parameters
 from snakejax.dynamics.model import Model
-from snakejax.dynamics.ports import Delay
-from snakejax.dynamics.sampled_signals import held_signals
 from snakejax.recording.run import Noise, Run
 from snakejax.simulation.integrate import Accuracy
 
+from .block_linearisation import linearise_runs
 from .fit_journal import kept_fit
-from .linearisation import LANES, Linearised, Variables, domains_of, first, linearise
-from .many_runs import MANY
+from .linearisation import Linearised, domains_of
 from .problem import Problem, dependence_of
-
-_linearise = eqx.filter_jit(linearise)
 
 ACCURACY = Accuracy(rtol=3e-6, atol=3e-8, max_steps=4000, derivative="forward")
 """With larger tolerances the derivatives of stiff windows are inaccurate; a window that needs more steps fails."""
-DELAY_STEP = 0.02
-"""Step [s] of the difference quotient by a delay: commands are held for some 0.1 s."""
 LENGTH = 1.5
 """Length of a window [s]: long enough for an effect to show, short enough for residuals nearly linear in it."""
-BLOCK = 2 * LANES
-"""Directions, start state and all, of a block: it serves every choice of parameters, where one program for each number
-of them would take longer to compile than its fewer directions save."""
-THREADS = 2
-"""Threads that linearise windows in parallel."""
 ENOUGH = 0.003
 """The iteration ends with a step that lowers the cost by less than this fraction."""
 START_ROUNDS = 6
@@ -86,100 +73,6 @@ def initial_states(model: Model, run: Run) -> np.ndarray:
     return model.constraint.observed(times, pose, rate, model.board, lambda: model.commanded(run.gait))
 
 
-def _delays(problem: Problem) -> list[str]:
-    """The parameters that delay commands which are held between samples: where a window begins at a jump of a command,
-    the derivative by them is that of one side, and a step to the other side is misled."""
-    if not held_signals(problem.batch.gait):
-        return []
-    late = {name: effect for name, effect in problem.model.effects.items() if isinstance(effect, Delay)}
-    return [f"effects.{name}.{part}" for name, effect in late.items() for part in parameters(effect)]
-
-
-def linearise_windows(
-    problem: Problem,
-    values: Mapping[str, float],
-    start: np.ndarray,
-    runs: Sequence[int],
-    free: Sequence[str] | None = None,
-) -> Linearised:
-    """Residuals of `runs` and their Jacobian by the parameters `free` (default: all of `problem.names`) and the start.
-
-    `THREADS` threads share the runs. The columns are computed in blocks, by one program. The column of a
-    parameter that delays held commands is the central difference quotient over `DELAY_STEP`.
-    """
-    columns = problem.names if free is None else free
-    width = len(columns) if free is None else problem.width
-    size = _block_size(problem)
-    parts = [
-        _linearised_block(problem, values, start, runs, columns[k : k + size], size)
-        for k in range(0, max(len(columns), 1), size)
-    ]
-    by_columns = np.concatenate([part.jacobian[..., :size] for part in parts], axis=-1)[..., : len(columns)]
-    padded = np.pad(by_columns, [(0, 0)] * 3 + [(0, width - len(columns))])
-    by_start = parts[0].jacobian[..., size:]
-    linearised = Linearised(parts[0].residual, np.concatenate([padded, by_start], axis=-1))
-    for name in (delay for delay in _delays(problem) if delay in columns):
-        late, early = (
-            linearise_windows(problem, {**values, name: values[name] + step}, start, runs, ()).residual
-            for step in (DELAY_STEP, -DELAY_STEP)
-        )
-        with np.errstate(invalid="ignore"):
-            quotient = (late - early) / (2 * DELAY_STEP)
-        linearised.jacobian[..., list(columns).index(name)] = np.where(np.isfinite(quotient), quotient, 0.0)
-    return linearised
-
-
-def _block_size(problem: Problem) -> int:
-    """The number of parameters in a block: with the start state they fill `BLOCK` or the next multiple of `LANES`."""
-    depth = problem.batch.start.shape[1]
-    size = max(BLOCK, -(-(depth + 1) // LANES) * LANES) - depth
-    return min(size, problem.width) if _are_whole(problem) else size
-
-
-def _are_whole(problem: Problem) -> bool:
-    """Whether the runs are few and whole: the program of their fits then linearises them too."""
-    return len(problem.runs) <= MANY and not any(run.cut_from for run in problem.runs)
-
-
-def _linearised_block(
-    problem: Problem,
-    values: Mapping[str, float],
-    start: np.ndarray,
-    runs: Sequence[int],
-    block: Sequence[str],
-    width: int,
-) -> Linearised:
-    """Residuals of `runs` and their Jacobian by the parameters `block`, in `width` columns, and the start."""
-    if _are_whole(problem):
-        at = problem.at(values, block, start)
-
-        def linearise_share(part: Sequence[int]) -> Linearised:
-            linearised = problem.evaluate(at, part)
-            return linearised._replace(jacobian=np.delete(linearised.jacobian, range(width, problem.width), axis=-1))
-
-    else:
-        directions = np.zeros((width, len(problem.names)))
-        directions[range(len(block)), [problem.names.index(name) for name in block]] = 1.0
-        vector = jnp.asarray([values[name] for name in problem.names])
-        point = Variables(problem.names, vector, jnp.asarray(directions), jnp.asarray(start), problem.batch.free_start)
-
-        def linearise_share(part: Sequence[int]) -> Linearised:
-            linearised = _linearise(
-                problem.model,
-                point,
-                problem.batch,
-                *first(part, problem.batch),
-                jnp.zeros(width),
-                jnp.zeros_like(problem.batch.start),
-                problem.accuracy,
-            )
-            return Linearised(*(np.asarray(leaf) for leaf in linearised))
-
-    with ThreadPoolExecutor(THREADS) as pool:
-        shares = list(pool.map(linearise_share, [list(runs)[k::THREADS] for k in range(THREADS)]))
-    return Linearised(*(sum(parts[1:], parts[0]) for parts in zip(*shares, strict=True)))
-
-
 class Windows(eqx.Module):
     """Windows of recorded runs, with all parameters of the problem as directions of one compiled Jacobian."""
 
@@ -214,7 +107,7 @@ class Windows(eqx.Module):
 
     def at(self, values: Mapping[str, float], start: np.ndarray, free: Sequence[str] | None = None) -> Linearised:
         """Residuals (W, n, 3) of the windows; their Jacobian by `free` (default: all names) and the start states."""
-        return linearise_windows(self.problem, values, start, range(len(self.problem.runs)), free)
+        return linearise_runs(self.problem, values, start, range(len(self.problem.runs)), free)
 
     @kept_fit
     def settle(
@@ -286,7 +179,7 @@ class Windows(eqx.Module):
             windows = windows[expected_decrease[windows] > ENOUGH * (residual[windows] ** 2).sum(axis=(1, 2)) + 0.1]
             if not windows.size:
                 break
-            trial_linearised = linearise_windows(self.problem, values, trial_starts, windows, free)
+            trial_linearised = linearise_runs(self.problem, values, trial_starts, windows, free)
             cost = (residual**2).sum(axis=(1, 2))
             improved = np.array([k for k in windows if (trial_linearised.residual[k] ** 2).sum() < cost[k]], int)
             starts[improved], residual[improved], jacobian[improved] = (

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
+from .block_linearisation import linearise_runs
 from .linearisation import Linearised
-from .multiple_shooting import linearise_windows
 from .problem import Problem
 
 DETECTABLE_SD = float(stats.norm.isf(0.01 / 50) + stats.norm.ppf(0.8))
@@ -31,6 +31,6 @@ class Sensitivities(NamedTuple):
         """Columns of parameters without a derivative at zero by the secant (r(p) - r(0)) / p, with p from `probes`."""
         jacobian = self.linearised.jacobian.copy()
         for name, secant_step in probes.items():
-            probe = linearise_windows(self.problem, {**self.values, name: secant_step}, self.start, self.runs, ())
+            probe = linearise_runs(self.problem, {**self.values, name: secant_step}, self.start, self.runs, ())
             jacobian[..., self.problem.names.index(name)] = (probe.residual - self.linearised.residual) / secant_step
         return self._replace(linearised=self.linearised._replace(jacobian=jacobian))

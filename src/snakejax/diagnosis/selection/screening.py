@@ -8,7 +8,8 @@ from scipy import stats
 
 from snakejax.core.parallel import ContextThreads
 from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
-from snakejax.estimation.multiple_shooting import WindowSolution, linearise_windows
+from snakejax.estimation.block_linearisation import linearise_runs
+from snakejax.estimation.multiple_shooting import WindowSolution
 from snakejax.estimation.problem import DEPENDENT
 from snakejax.estimation.sensitivity import Sensitivities
 
@@ -38,7 +39,7 @@ def window_sensitivities(
     """Every candidate beside the model at `values`, on `windows` or on whole train runs."""
     problem = candidate_set.windows.problem if windows else candidate_set.problem
     runs = tuple(range(len(problem.runs)) if windows else candidate_set.train)
-    return Sensitivities(problem, runs, values, start, linearise_windows(problem, values, start, runs))
+    return Sensitivities(problem, runs, values, start, linearise_runs(problem, values, start, runs))
 
 
 def screen_candidates(

@@ -14,9 +14,9 @@ from scipy import stats
 
 from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
 from snakejax.dynamics.ports import Delay
+from snakejax.estimation.block_linearisation import DELAY_STEP
 from snakejax.estimation.discrepancy.least_squares import Optimum, Prior
 from snakejax.estimation.initialisation import EARLY
-from snakejax.estimation.multiple_shooting import DELAY_STEP
 from snakejax.estimation.problem import Problem
 from snakejax.estimation.window_fit import (
     WindowPoint,
