@@ -69,7 +69,7 @@ def gauss_nodes(duration: float, panels: int) -> tuple[np.ndarray, np.ndarray]:
     return (left + width * (nodes + 1) / 2).ravel(), np.tile(width / 2 * weights, panels)
 
 
-@pytest.mark.parametrize("tyre", ["Pacejka", pytest.param("Rayleigh", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("tyre", ["Pacejka", pytest.param("Rayleigh", marks=pytest.mark.long)])
 @pytest.mark.parametrize("constraint", ["coupled", "free"])
 def test_work_of_the_joints_becomes_motion_and_slip(constraint, tyre):
     """Kinetic energy gained + energy lost in slip = work of the torques that the full equations ask of the joints."""

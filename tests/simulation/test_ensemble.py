@@ -47,11 +47,11 @@ EFFECTS = {
 @pytest.mark.parametrize(
     ("constraint", "effects", "engine"),
     [
-        ("coupled", "memory, sensor clock and force", "tsit5"),
+        pytest.param("coupled", "memory, sensor clock and force", "tsit5", marks=pytest.mark.long),
         ("free", "memory, sensor clock and force", "tsit5"),
-        ("ideal", "none", "tsit5"),
+        pytest.param("ideal", "none", "tsit5", marks=pytest.mark.long),
         ("ideal", "none", "fastest"),
-        ("free", "sensor clock and force", "fastest"),
+        pytest.param("free", "sensor clock and force", "fastest", marks=pytest.mark.long),
         ("coupled", "sensor clock and force", "fastest"),
     ],
 )

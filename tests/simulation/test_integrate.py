@@ -74,7 +74,13 @@ def differentiable(tyre: Pacejka, constraint: str, drive: float, start: tuple[fl
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("constraint", "tyre"), [("coupled", PACEJKA), ("free", PACEJKA), ("ideal", no_traction())], ids=STRUCTURES
+    ("constraint", "tyre"),
+    [
+        pytest.param("coupled", PACEJKA, marks=pytest.mark.long),
+        ("free", PACEJKA),
+        pytest.param("ideal", no_traction(), marks=pytest.mark.long),
+    ],
+    ids=STRUCTURES,
 )
 def test_gradients_of_a_run(constraint, tyre):
     """Against finite differences in every parameter and the start; and finite at rest and when rolling backwards.

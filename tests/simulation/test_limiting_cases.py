@@ -4,11 +4,10 @@ Each corner is right against scipy's implicit Radau method, or refused; never si
 """
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from oracles.scipy_runs import integrated
 
 from snakejax import Gait, Model, Rayleigh, Sines, preset, simulate, simulate_many, stacked
 from snakejax.core.parameter import with_parameters
@@ -18,22 +17,13 @@ ROTATE, FORWARD = preset("paper-rotate"), preset("paper-forward")
 
 def radau(model: Model, gait: Gait, seconds: float) -> np.ndarray:
     """The pose at the end, by an implicit method with the exact Jacobian."""
-    leaves, structure = jax.tree.flatten(model.start((jnp.zeros(()),) * 3))
-
-    def rates(t, y):
-        return jnp.stack(jax.tree.leaves(model.rates(t, jax.tree.unflatten(structure, list(y)), gait)))
-
-    f, J = jax.jit(rates), jax.jit(jax.jacfwd(rates, argnums=1))
-    how = dict(method="Radau", rtol=1e-9, atol=1e-11, max_step=0.05)
-    found = solve_ivp(f, (0.0, seconds), np.zeros(len(leaves)), jac=lambda t, y: np.asarray(J(t, y)), **how)
-    assert found.success
-    return np.stack(model.observe(tuple(found.y[:, -1])))
+    return np.asarray(integrated(model, gait, [seconds], method="Radau", rtol=1e-9, atol=1e-11, most=0.05).pose[-1])
 
 
 def all_solvers(model: Model, gait: Gait, seconds: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The pose at the end by a single run, by Tsit5 in an ensemble, and by the fastest engine that is present."""
     times = jnp.array([seconds])
-    alone = jax.jit(lambda m: simulate(m, gait, times, throw=False).pose[-1])(model)
+    alone = simulate(model, gait, times, throw=False).pose[-1]
     engines = ("tsit5", "fastest")
     return np.asarray(alone), *(simulate_many(stacked([model]), gait, times, engine=e)[0, -1] for e in engines)
 

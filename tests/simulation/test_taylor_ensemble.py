@@ -1,10 +1,9 @@
 """Ensembles by Taylor series against scipy's DOP853, and what has no series."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from oracles import scipy_runs
 
 from snakejax import (
     TABLE_II,
@@ -40,16 +39,7 @@ ROTATE, FORWARD = preset("paper-rotate"), preset("paper-forward")
 
 def reference(model: Model, gait, seconds: float) -> np.ndarray:
     """The pose at the end by scipy's method of order 8."""
-    leaves, structure = jax.tree.flatten(model.start((jnp.zeros(()),) * 3))
-
-    def rates(t, y):
-        return jnp.stack(jax.tree.leaves(model.rates(t, jax.tree.unflatten(structure, list(y)), gait)))
-
-    end = seconds - float(model.delay())
-    how = dict(method="DOP853", rtol=1e-11, atol=1e-12)
-    solution = solve_ivp(jax.jit(rates), (0.0, end), np.zeros(len(leaves)), **how)
-    assert solution.success
-    return np.stack(model.observe(jax.tree.unflatten(structure, list(solution.y[:, -1]))[0]))
+    return np.asarray(scipy_runs.integrated(model, gait, [seconds]).pose[-1])
 
 
 def ensemble_of(models: list[Model], gait, times) -> Ensemble:
@@ -70,8 +60,25 @@ WITHOUT_SERIES = {
 """Effects of the library whose rates have a branch on the state, or change in the course of a run."""
 
 
+OF_EACH_KIND = {
+    *WITHOUT_SERIES,
+    "ground_slope",
+    "rolling_resistance",
+    "steering_gain",
+    "steering_backlash",
+    "grip_gradient",
+    "com_offset",
+    "tyre_offset",
+    "marker_offset",
+    "clock_offset",
+}
+"""Effects without a series, and one of each port."""
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", LIBRARY)
+@pytest.mark.parametrize(
+    "name", [name if name in OF_EACH_KIND else pytest.param(name, marks=pytest.mark.long) for name in LIBRARY]
+)
 def test_a_model_with_an_effect_of_the_library_agrees_with_the_reference_or_is_refused(name) -> None:
     kind = LIBRARY[name]
     values = {

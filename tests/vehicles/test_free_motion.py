@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from oracles.scipy_runs import integrated
 
 from snakejax.dynamics.inputs import Inputs
 from snakejax.dynamics.model import Model, no_traction
@@ -85,17 +86,10 @@ class SprungRacer(RollerRacer):
 def test_a_free_handlebar_keeps_the_energy(constraint: str) -> None:
     racer = SprungRacer(**{**ROLLER_RACER, "handle_mass": 0.4, "rear": 0.2})
     model, inputs = Model(racer, no_traction(), constraint), Inputs({})
-    state, lags = model.initial_state(tuple(map(jnp.asarray, (0.0, 0.0, 0.1, 0.5, 0.0, 0.0))), jnp.zeros(()), inputs)
-    body = (*state[:-1], jnp.asarray(0.5))
-    times = jnp.linspace(0.0, 5.0, 51)
-
-    from snakejax.simulation.integrate import Trajectory, _integrate
-
-    states, finished = _integrate(model, inputs, (body, lags), jnp.zeros(()), times, FINE, True)
-    assert bool(finished)
-    trajectory = Trajectory(times, jnp.zeros((51, 3)), states, times, finished)
-    kinetic = racer_energy(model, inputs, trajectory)
-    total = kinetic + 1.5 * np.asarray(states[0][-1]) ** 2
+    body, lags = model.initial_state(tuple(map(jnp.asarray, (0.0, 0.0, 0.1, 0.5, 0.0, 0.0))), jnp.zeros(()), inputs)
+    found = integrated(model, inputs, np.linspace(0.0, 5.0, 51), ((*body[:-1], 0.5), lags))
+    kinetic = racer_energy(model, inputs, found)
+    total = kinetic + 1.5 * np.asarray(found.state[0][-1]) ** 2
     np.testing.assert_allclose(total, total[0], rtol=1e-9)
     assert np.ptp(kinetic) > 0.05
 
@@ -105,7 +99,7 @@ def test_a_racer_without_force_keeps_its_energy_and_turns_on_a_circle() -> None:
     """With the handlebar at rest at an angle the wheels' axles meet in one point, about which it turns."""
     racer, angle = RollerRacer(**{**ROLLER_RACER, "handle_mass": 0.3}), 0.5
     model, inputs = Model(racer, no_traction(), "ideal"), constant(handle=angle)
-    found = simulate(model, inputs, np.linspace(0.0, 4.0, 9), (0.0, 0.0, 0.0, 0.8, 0.0, 0.0), accuracy=FINE)
+    found = integrated(model, inputs, np.linspace(0.0, 4.0, 9), (0.0, 0.0, 0.0, 0.8, 0.0, 0.0))
     energy = racer_energy(model, inputs, found)
     np.testing.assert_allclose(energy, energy[0], rtol=1e-9)
     pivot, front = float(racer.pivot), float(racer.front)
@@ -123,7 +117,7 @@ def test_swinging_the_handlebar_drives_the_racer() -> None:
     times = np.arange(5) * 4 * period
     gained = {}
     for amplitude in (0.05, 0.1, -0.1):
-        found = simulate(model, sines(handle=[[amplitude, 3.0, np.pi / 2]]), times, accuracy=FINE)
+        found = integrated(model, sines(handle=[[amplitude, 3.0, np.pi / 2]]), times)
         gained[amplitude] = np.asarray(found.state[0][3])
     assert (np.diff(np.abs(gained[0.1])) > 0).all()
     np.testing.assert_allclose(gained[-0.1], gained[0.1], rtol=1e-6)
@@ -135,7 +129,8 @@ def steady(left: float, right: float, **other: float) -> tuple[float, float, flo
     robot = SkidSteer(**{**HUSKY, "wheel_radius": 1.0, **other})
     tyre = Pacejka(B=5.0, C=1.3, D=0.6 * 50 * 9.81 / 4, E=0.0)
     model = Model(robot, tyre, "free")
-    found = simulate(model, constant(left=left, right=right), np.linspace(0.0, 12.0, 3), (0, 0, 0, 0.0, 0.0, 0.0))
+    speeds = constant(left=left, right=right)
+    found = integrated(model, speeds, [0.0, 6.0, 12.0], (0.0,) * 6, method="Radau", rtol=1e-9, atol=1e-11)
     return tuple(float(part[-1]) for part in found.state[0][3:6])
 
 

@@ -3,9 +3,9 @@
 import json
 from pathlib import Path
 
-import jsonschema
 import numpy as np
 import pytest
+from helpers.schema import deviations
 from helpers.vehicle_case import steps, write_case
 
 import snakejax as sj
@@ -16,7 +16,6 @@ from snakejax.dynamics.axle_tyres import FrontRear
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.tyres import Pacejka
 from snakejax.effects import library
-from snakejax.present.as_json.schema import schema_of
 from snakejax.vehicles.car import DART, Car
 
 TRUE = {"steering_ratio": 0.45, "force_gain": 22.0}
@@ -82,7 +81,7 @@ def test_saved_models_of_a_car_are_judged_by_what_they_predict(car: Path, tmp_pa
     words = ["--horizon", "1,2", "--lead", "0.6", "--json", str(where), "--out", str(tmp_path), "--quiet"]
     assert main(["predict", str(car), "--from", str(saved), *words]) == 0
     result = json.loads(where.read_text())
-    jsonschema.validate(result, schema_of("predict"))
+    assert deviations("predict", result) == []
     assert list(result["groups"]) == ["train", "heldout"] and result["lead_s"] == 0.6
     for models in result["groups"].values():
         assert models["base"] == models["final"] and list(models["final"]) == ["1", "2"]

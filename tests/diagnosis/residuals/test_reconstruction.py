@@ -55,7 +55,7 @@ def missed(constraint: str) -> FittedModel:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("constraint", ["free", "coupled"])
+@pytest.mark.parametrize("constraint", ["free", pytest.param("coupled", marks=pytest.mark.long)])
 def test_a_recording_asks_for_the_tyre_it_was_made_with_whatever_the_model_says(constraint: str) -> None:
     played = missed(constraint)
     errors, sizes = [], []

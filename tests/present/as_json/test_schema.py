@@ -11,28 +11,24 @@ from typing import Any
 import pytest
 from helpers.folders import ROOT
 from helpers.made_up_explanation import result, story
+from helpers.schema import deviations
 from jsonschema import Draft202012Validator
 
 from snakejax.commands.cli import main
 from snakejax.commands.cli.main import parser
 from snakejax.diagnosis.explanation import PoseError, Remainder, TriedCandidate
-from snakejax.effects import LIBRARY
 from snakejax.estimation.uncertainty import Estimate
 from snakejax.present.as_json.schema import schema_of
 
 LEVEL = ROOT / "data" / "level-board"
 GIVEN = ("--set", "B=7.589,C=1.515,D=8.543,E=-0.122")
 FITTED = ("--free", "B,D", "--set", "C=1.515,E=-0.122")
-SOME = [word for name in LIBRARY if name not in ("ground_slope", "body_drag") for word in ("--without", name)]
 DESIGN = ("--limit", "phi=0.9,psi=1.6", "--seconds", "1.5")
 RUNS = {
     "check": [("check", "CASE")],
     "import": [("import", LEVEL / "train-forward-1.csv")],
     "fit": [("fit", "CASE", *FITTED, "--profile", "B"), ("fit", "CASE", "--model", "ideal")],
     "compare": [("compare", "CASE", *FITTED, "--against", "ideal")],
-    "diagnose": [("diagnose", "CASE", *SOME)],
-    "explain": [("explain", "CASE", *SOME)],
-    "predict": [("predict", "CASE", "--from", "FIT", "--horizon", "0.5,1")],
     "simulate": [("simulate", "paper-rotate"), ("simulate", "CASE", *GIVEN)],
     "sweep": [
         ("sweep", "paper-rotate", "--vary", "D=1:4:7"),
@@ -48,15 +44,19 @@ RUNS = {
         ("design", "CASE", "--objective", "information", *DESIGN),
     ],
 }
-"""By command, its arguments; CASE stands for a case of four seconds, FIT for the result of a fit to it."""
+"""By command, its arguments; CASE stands for a case of four seconds."""
+ELSEWHERE = {
+    "diagnose": "commands/cli/test_commands.py",
+    "explain": "commands/cli/test_commands.py",
+    "predict": "commands/cli/test_other_vehicles.py",
+}
+"""By command that takes long, the file of the test that runs it and holds what it writes against the schema."""
 
 
-def marks(command: str, arguments: tuple[Any, ...]) -> list[pytest.MarkDecorator]:
-    """How long a command takes: a designed run needs many simulations, a diagnosis several fits. What tuning writes is
-    also checked where its numbers are (tests/design/test_tuning.py)."""
-    if command in ("tune", "design"):
-        return [pytest.mark.long]
-    return [pytest.mark.slow] * (command in ("diagnose", "explain"))
+def marks(command: str) -> list[pytest.MarkDecorator]:
+    """A designed run needs many simulations. What tuning writes is also checked where its numbers are
+    (tests/design/test_tuning.py)."""
+    return [pytest.mark.long] * (command in ("tune", "design"))
 
 
 @pytest.fixture(scope="module")
@@ -74,17 +74,11 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def wrong(command: str, found: Any) -> list[str]:
-    """Where `found` does not follow the schema of `command`."""
-    errors = Draft202012Validator(schema_of(command)).iter_errors(found)
-    return [f"{'/'.join(map(str, error.absolute_path))}: {error.message[:300]}" for error in errors]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "arguments"),
     [
-        pytest.param(command, arguments, marks=marks(command, arguments), id=f"{command} {k}")
+        pytest.param(command, arguments, marks=marks(command), id=f"{command} {k}")
         for command, several in RUNS.items()
         for k, arguments in enumerate(several)
     ],
@@ -92,18 +86,18 @@ def wrong(command: str, found: Any) -> list[str]:
 def test_what_a_command_writes_follows_the_schema(command, arguments, case, tmp_path, monkeypatch, pytestconfig):
     assert pytestconfig.cache is not None
     monkeypatch.setenv("XDG_CACHE_HOME", str(pytestconfig.cache.mkdir("snakejax")))
-    file, fit = tmp_path / "result.json", tmp_path / "fit.json"
-    words = [str({"CASE": case, "FIT": fit}.get(word, word)) for word in arguments]
-    if "FIT" in arguments:
-        assert main(["fit", str(case), *FITTED, "--json", str(fit), "--quiet"]) == 0
+    file = tmp_path / "result.json"
+    words = [str({"CASE": case}.get(word, word)) for word in arguments]
     assert main([*words, "--json", str(file), "--quiet"]) == 0
-    assert wrong(command, json.loads(file.read_text(encoding="utf-8"))) == []
+    assert deviations(command, json.loads(file.read_text(encoding="utf-8"))) == []
 
 
 def test_every_command_that_writes_json_is_run() -> None:
     choices = next(action.choices for action in parser()._actions if action.choices and "fit" in action.choices)
     writing = {name for name, command in choices.items() if "--json" in command.format_help()}
-    assert writing == set(RUNS)
+    assert writing == {*RUNS, *ELSEWHERE}
+    for command, file in ELSEWHERE.items():
+        assert f'deviations("{command}", ' in (ROOT / "tests" / file).read_text(encoding="utf-8")
 
 
 def told(**parts: Any) -> dict[str, Any]:
@@ -126,7 +120,7 @@ CERTAIN = {
 @pytest.mark.parametrize("parts", [{}, {"verdict": "explained", "missing": None}, CERTAIN], ids=["", "ends", "sure"])
 def test_an_explanation_of_any_end_follows_the_schema(parts) -> None:
     made = told(**parts)
-    assert wrong("explain", made) == []
+    assert deviations("explain", made) == []
     if parts is CERTAIN:
         assert made["final"]["remainder"]["depends_on"] == [{"variable": "speed", "share": 0.4}]
         assert made["final"]["remainder"]["laws"] == ["east = b * x", "east = b * y"]
@@ -148,7 +142,7 @@ SPOILED = {
 def test_the_schema_refuses_what_does_not_follow_it(change) -> None:
     made = copy.deepcopy(told())
     SPOILED[change](made)
-    assert wrong("explain", made) != []
+    assert deviations("explain", made) != []
 
 
 def keys_of(part: Any) -> Iterator[str]:
@@ -162,7 +156,7 @@ def keys_of(part: Any) -> Iterator[str]:
             yield from keys_of(below)
 
 
-@pytest.mark.parametrize("command", RUNS)
+@pytest.mark.parametrize("command", [*RUNS, *ELSEWHERE])
 def test_the_schema_is_one(command) -> None:
     Draft202012Validator.check_schema(schema_of(command))
 

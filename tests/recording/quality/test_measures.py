@@ -85,7 +85,7 @@ def test_a_measure_that_is_somewhat_off_is_not_doubted() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("mass", "length"), [(0.01, 0.02), (7.0, 0.25), (2000.0, 1.3)])
-@pytest.mark.parametrize("constraint", ["free", "coupled"])
+@pytest.mark.parametrize("constraint", ["free", pytest.param("coupled", marks=pytest.mark.long)])
 def test_the_push_tells_the_measures_of_any_board(mass, length, constraint) -> None:
     """Whatever the tyre: the simulator knows nothing of the rule by which they are told. The factor on the mass, 3, and
     that on the inertia, 2, come back.
@@ -223,7 +223,7 @@ def test_one_short_run_is_enough_to_tell_a_rotor_in_hertz() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", [PRESETS[0], *(pytest.param(name, marks=pytest.mark.long) for name in PRESETS[1:])])
 def test_the_boards_of_the_paper_are_not_doubted(name) -> None:
     given = preset(name)
     for tyre in (given.model.tyre, Rayleigh(9.0)):
