@@ -44,7 +44,13 @@ def written(folder: Path, *words: str) -> tuple[Path, np.ndarray]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("words", [(), ("--with", "ground_slope:sx=0.01,sy=-0.005"), ("--skid", "coupled")])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--with", "ground_slope:sx=0.01,sy=-0.005"),
+        *(pytest.param(words, marks=pytest.mark.long) for words in [(), ("--skid", "coupled")]),
+    ],
+)
 def test_a_written_model_gives_the_same_simulation(words: tuple[str, ...], tmp_path: Path) -> None:
     path, end = written(tmp_path, *words)
     model = sj.load_model(path)

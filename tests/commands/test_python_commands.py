@@ -93,14 +93,15 @@ def test_compare_takes_a_fit_or_a_case(short: Path, fitted: sj.Fit) -> None:
 
 
 @pytest.mark.slow
-def test_diagnose_and_explain_work_with_defaults_and_with_the_options_of_a_fit(short: Path) -> None:
+def test_diagnose_and_explain_work_with_the_options_of_a_fit(short: Path) -> None:
     few = [name for name in sj.effects.LIBRARY if name not in ("body_drag", "yaw_bias")]
+    model = dict(without=few, with_="ground_slope:sx=0.0", robust=True, **GIVEN)
     with pytest.warns(UserWarning):
-        ranked = sj.diagnose(short, without=few, **GIVEN)
-    assert set(ranked.base.estimates) == {"tyre.B", "tyre.D"}
+        ranked = sj.diagnose(short, **model)
+    assert set(ranked.base.estimates) == {"tyre.B", "tyre.D", "effects.ground_slope.sy"}
     assert {row.effect for row in ranked.base.ranking} <= {"body_drag", "yaw_bias"}
     with pytest.warns(UserWarning):
-        found = sj.explain(short, without=few, with_="ground_slope:sx=0.0", robust=True, **GIVEN)
+        found = sj.explain(short, **model)
     assert "effects.ground_slope.sx" not in found.base.estimates and "effects.ground_slope.sy" in found.base.estimates
     assert (found.verdict, found.effects, found.base.effects) == ("explained", ("ground_slope",), ("ground_slope",))
     assert len(found.steps) == 1
@@ -124,7 +125,7 @@ def test_tune_works_on_a_case(short: Path, few_guesses: None) -> None:
     assert of_case.after.result >= of_case.before.result > 0 and of_case.seconds == 2
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_tune_works_on_a_model(few_guesses: None) -> None:
     limit = {"phi": 0.9, "psi": 1.6, "phi_rate": 4.0, "psi_rate": 6.5}
     of_model = sj.tune(sj.preset("paper-forward").model, "turn", seconds=2, limit=limit)

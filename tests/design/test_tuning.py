@@ -266,7 +266,7 @@ def test_a_spline_becomes_a_joint_log_of_the_same_gait(tmp_path) -> None:
         np.testing.assert_allclose(Logged.of(log.times, angles).coefficients, mine.command.coefficients, atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_another_vehicle_is_tuned_by_the_names_of_its_inputs() -> None:
     """A roller racer: its one input keeps its limits at every sampled instant and carries it as far as is said."""
     racer = Model(RollerRacer(**ROLLER_RACER), no_traction(), "ideal")
@@ -282,6 +282,10 @@ def test_another_vehicle_is_tuned_by_the_names_of_its_inputs() -> None:
     assert 0.5 < np.abs(angle).max() <= 0.8 and np.abs(rate).max() <= 4.0
     pose = np.asarray(simulate(racer, Inputs({"handle": Sines.of(rows[:, :, 0].T)}), jnp.array([0.0, 2.0])).pose)
     assert best.after.result == pytest.approx(np.hypot(*(pose[-1] - pose[0])[:2]), abs=1e-6)
+
+
+def test_limits_and_objectives_that_another_vehicle_does_not_have_are_refused() -> None:
+    racer, limits = Model(RollerRacer(**ROLLER_RACER), no_traction(), "ideal"), Limits(handle=0.8, handle_rate=4.0)
     with pytest.raises(InputError, match="The limits are of phi, psi, but the inputs are handle"):
         tune(racer, Distance(), LIMITS, 2.0)
     with pytest.raises(InputError, match="joint torques of a racer are not known"):

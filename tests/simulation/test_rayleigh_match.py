@@ -104,7 +104,7 @@ def test_a_constant_k_s_has_no_r_squared() -> None:
     assert polynomial(np.arange(7.0), 9.0 + 1e-12 * np.arange(7.0)).r_squared is None
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_board_that_cannot_be_simulated_is_told_from_one_that_none_follows(monkeypatch) -> None:
     from snakejax.simulation import parameter_sweep
 

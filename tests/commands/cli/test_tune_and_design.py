@@ -155,7 +155,7 @@ def test_a_run_says_more_about_the_tyre(told) -> None:
         (["--objective", "separate:cable_spring,body_drag", "--effect", OWN[1] + ",k=1"], "are fixed"),
         pytest.param(
             *(["--objective", "separate:cable_spring,body_drag", "--effect", OWN[1][:-5]], "do not show `x0`"),
-            marks=pytest.mark.slow,
+            marks=pytest.mark.long,
         ),
     ],
 )

@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from snakejax.core.parameter import Domain
-from snakejax.diagnosis.inexact import evidence
+from snakejax.diagnosis.inexact import confidence, evidence
 from snakejax.diagnosis.inexact.assessment import Assessment
 from snakejax.diagnosis.inexact.candidate_model import CandidateModel
 from snakejax.diagnosis.inexact.evidence import ModelEvidence
@@ -249,3 +249,18 @@ def test_the_largest_force_that_recordings_do_not_exclude(monkeypatch: pytest.Mo
     share = evidence.largest_force(search, SimpleNamespace(point=point, data=None))  # type: ignore[arg-type]
     most = min(excluded, CRITERIA.cautious_force)
     assert most / evidence.FORCE_STEP < share <= most
+
+
+@pytest.mark.parametrize(("exact", "share"), [(True, 3e-3), (False, CRITERIA.cautious_force)])
+def test_only_an_exact_model_bounds_the_unknown_force_by_what_recordings_exclude(
+    monkeypatch: pytest.MonkeyPatch, exact: bool, share: float
+) -> None:
+    """An unknown force that acts like an effect leaves nothing that could exclude it."""
+    scales = SimpleNamespace(force=np.array([2.0, 3.0, 0.1]))
+    now = Discrepancy(np.ones(3), np.ones(3), 0.2, np.zeros(3), 0.1)
+    monkeypatch.setattr(confidence, "largest_force", lambda *_: 3e-3)
+    linear = SimpleNamespace(point=SimpleNamespace(discrepancy=now), under=lambda discrepancy: discrepancy)
+    search = SimpleNamespace(criteria=CRITERIA, scales=scales)
+    wide: Any = confidence.cautious(search, linear, exact)  # type: ignore[arg-type]
+    np.testing.assert_allclose(wide.force, share * scales.force)
+    assert wide.force_time == CRITERIA.shortest_force

@@ -94,7 +94,7 @@ def test_the_noise_band_is_that_of_chi_squared():
     assert np.mean((draws < low) | (draws > high)) < 0.005
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_candidate_that_the_runs_cannot_show_is_named_with_the_reason():
     """Under the coupled structure a split of the grip cancels where the wheelsets steer opposite ways."""
     model = Model(Board(**TABLE_II, creep_speed=0.01), Pacejka(B=8.0, C=1.4, D=3.0, E=0.0), "coupled")

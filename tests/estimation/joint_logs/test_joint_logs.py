@@ -21,7 +21,7 @@ from snakejax.recording.quality import smoothed
 from snakejax.recording.run import Run
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_noise_that_is_drawn_anew_is_as_what_smoothing_leaves():
     """Against the truth, in angle, rate and acceleration: no smaller, and at most a third larger."""
     t = np.arange(0, 12, 0.01)

@@ -64,7 +64,7 @@ def test_a_joint_is_followed_through_its_onset():
     assert np.abs(jax.vmap(kinked.at)(fine[fine < 0.12]).rate).max() == 0.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_board_at_rest_begins_with_its_joints():
     """A clock that is late moves a run in time, and changes nothing else."""
     t = np.arange(-1, 5, 0.01)
