@@ -109,7 +109,7 @@ def assess(
     else:
         expected = predicting = expected.without_force(scales.least_force)
     predicted = left_out(search, linear)
-    sure = confidence(search, linear, predicted, laws, evidence.has_force)
+    sure = confidence(search, linear, predicted, laws, evidence.exact)
     effects = tuple(sorted(sure, key=lambda effect: -sure[effect].cautious_fall))
     problem = linear.under(wide)
     values = search.segments.moved(linear.point.values, linear.optimum.step)

@@ -31,20 +31,24 @@ class Confidence(NamedTuple):
     instead: tuple[str, ...]
 
 
-def cautious(search: Search, linear: Linear, has_force: bool) -> Subsets:
-    """The problem at `linear` with a share `cautious_force` of the forces that move the vehicle unknown; where no
-    random force was found, with the largest that the recordings do not exclude, if that is less."""
+def cautious(search: Search, linear: Linear, exact: bool) -> Subsets:
+    """The problem at `linear` with a share `cautious_force` of the forces that move the vehicle unknown; where the
+    model is exact, with the largest that the recordings do not exclude, if that is less.
+
+    Where it is not, the recordings exclude a random force only: an unknown force that depends on the motion may act
+    like one of the effects, and then leaves nothing to be seen.
+    """
     criteria, scales = search.criteria, search.scales
-    share = criteria.cautious_force if has_force else largest_force(search, linear)
+    share = largest_force(search, linear) if exact else criteria.cautious_force
     return linear.under(linear.point.discrepancy.enlarged(share * scales.force, criteria.shortest_force))
 
 
 def confidence(
-    search: Search, linear: Linear, predicted: LeftOut, laws: Mapping[str, tuple[str, ...]], has_force: bool
+    search: Search, linear: Linear, predicted: LeftOut, laws: Mapping[str, tuple[str, ...]], exact: bool
 ) -> dict[str, Confidence]:
     """How sure each effect of the point of `linear` is; `laws`: those that are laws, with others that do as well;
-    `has_force`: whether a random force acts beside the model."""
-    effects, wide = linear.point.effects, cautious(search, linear, has_force)
+    `exact`: whether white noise and the model with the stated constants are all that there is."""
+    effects, wide = linear.point.effects, cautious(search, linear, exact and not laws)
     bare_costs, wide_costs = removal_costs(linear.subsets, effects), removal_costs(wide, effects)
     sure = {}
     for effect, fall in bare_costs.items():

@@ -98,7 +98,8 @@ class SelectionCriteria(NamedTuple):
     vehicle. A force that depends on the place or the motion is larger than its estimate as a random force."""
     cautious_force: float = 0.02
     """An effect is sure if it would be significant even if this share of the forces that move the vehicle had another
-    cause; a smaller share if no random force was found and the recordings exclude so large a one."""
+    cause; a smaller share if the model is exact and the recordings exclude so large a random force. Exact: no random
+    force, no law beside it, white noise, constants as stated."""
     shortest_force: float = 0.5
     """Time constant [s] of these two forces: an upper limit for intervals, a lower limit for sure effects."""
     largest_random_force: float = 0.05
