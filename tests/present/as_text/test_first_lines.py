@@ -178,10 +178,10 @@ def test_terminal_and_page_begin_with_cause_error_validation_and_certainty(verdi
 @pytest.mark.parametrize(
     ("estimate", "text"),
     [
-        (Estimate(3.00006e-3, 1.7e-7, "rad", True), "3.000 +- < 0.001 mrad"),
+        (Estimate(3.00006e-3, 1.7e-7, "rad", True), "3.000 mrad (+- less than 0.001)"),
         (Estimate(-0.0123, 0.0045, "m", True), "-12.3 +- 4.5 mm"),
         (Estimate(0.150234, 0.00021, "N/m", True), "0.1502 +- 0.00021 N/m"),
-        (Estimate(12345.6, 0.2, "N", True), "12346 +- < 10 N"),
+        (Estimate(12345.6, 0.2, "N", True), "12346 N (+- less than 10)"),
         (Estimate(0.37, 0.05, "-", True), "0.370 +- 0.050"),
         (Estimate(1.2, None, "rad", False, True), "1.2 rad"),
         (Estimate(0.0, 0.5, "N", True), "0.00 +- 0.50 N"),

@@ -287,6 +287,13 @@ def test_plain_table_with_quoted_commas(tmp_path):
         ("t_s,x_mm,y_mm,yaw_deg", FileAnnotations()),
         ("Time [s],X (mm),Y (mm),Heading [deg]", FileAnnotations()),
         ("time,x,y,yaw\r\ns,mm,mm,deg", FileAnnotations()),
+        ("t_s,x_mm,y_mm,angle_deg", FileAnnotations()),
+        ("Time [s],X (mm),Y (mm),Angle [deg]", FileAnnotations()),
+        ("time,x_mm,y_mm,yaw_deg\r\ns,m,m,rad", FileAnnotations()),
+        (
+            "time,x_mm,y_mm,yaw_deg\r\ns,m,m,rad",
+            FileAnnotations(MAP | {"x": "x_mm", "y": "y_mm", "heading": "yaw_deg"}),
+        ),
         ("a,b,c,d", FileAnnotations(dict(zip(MAP, "abcd", strict=True)), {"length": "mm", "angle": "deg"})),
         (None, FileAnnotations(dict(zip(MAP, "1234", strict=True)), {"length": "mm", "angle": "deg"})),
     ],
@@ -297,6 +304,11 @@ def test_units_of_a_plain_table(tmp_path, names, hints):
     text = ("" if names is None else names + "\r\n") + table([list(map(float, row)) for row in rows])
     track = read_track(put(tmp_path, text), "board", hints)
     np.testing.assert_allclose(track.pose, EXPECTED, atol=1e-12)
+
+
+def test_an_angle_is_the_heading_only_where_nothing_else_is(tmp_path):
+    text = table(plain(angle=[9.0] * 60))
+    np.testing.assert_allclose(read_track(put(tmp_path, text), "", FileAnnotations()).pose, EXPECTED, atol=1e-12)
 
 
 def test_a_column_may_count_frames(tmp_path):

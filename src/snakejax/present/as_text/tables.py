@@ -144,4 +144,4 @@ def value_text(estimate: Estimate) -> str:
     least = 10.0 ** (int(f"{value:.3e}".split("e")[1]) - 3)
     if sd >= least:
         return f"{number(value, max(sd, 10 * least))} +- {error(sd)}{unit}"
-    return f"{number(value, 10 * least)} +- < {least:g}{unit}"
+    return f"{number(value, 10 * least)}{unit} (+- less than {least:g})"

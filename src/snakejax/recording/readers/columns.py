@@ -13,7 +13,7 @@ from snakejax.core.tabular import first_few
 from .assumed import SI, unit_of_angle, unit_of_length, unit_of_time
 from .capture import ANGLE, LENGTH, TIME, Body, Capture, FileAnnotations, Source, lost_together
 from .cells import shown
-from .names import named
+from .names import Named, named, without_unit
 from .rotations import about_z, require_unit
 
 PLACE = ("x", "y", "z")
@@ -94,6 +94,11 @@ def _named(
     """The columns whose names say what they hold, with the unit that the user, the name or the file states, in this
     order. x, y, z beside w, and beside another place, are a quaternion."""
     parsed = {i: words for i, name in enumerate(names) if i not in taken and (words := named(name))}
+    if not any(p.role == "heading" or p.role in TURN for p in parsed.values()):
+        # An angle beside a place, where nothing else says how the object is turned.
+        for i, (text, unit) in enumerate(map(without_unit, names)):
+            if text.strip().lower() == "angle" and i not in taken:
+                parsed[i] = Named("", "heading", False, unit)
     turned = {p.object for p in parsed.values() if may_turn and p.role == "qw" and p.plain}
     turned -= {p.object for p in parsed.values() if p.role == "qx"}
     columns: dict[tuple[str, str], Column] = {}
@@ -119,9 +124,9 @@ def _mapped(
         i, quantity = _index(names, role, name, where), QUANTITY.get(role)
         words = named(names[i]) if i >= 0 else None
         unit_in_name = words.unit if words and words.unit in UNITS.get(quantity or "", ()) else ""
-        unit_in_name = unit_in_name or _ending(names[i], quantity) if i >= 0 else ""
+        ending = _ending(names[i], quantity) if i >= 0 else ""
         stated = units[i] if 0 <= i < len(units) else ""
-        unit = (unit_hints.get(quantity or "") or stated or unit_in_name) if quantity else ""
+        unit = (unit_hints.get(quantity or "") or unit_in_name or stated or ending) if quantity else ""
         if unit and _factor(unit, quantity) is None:
             known = " or ".join(UNITS[quantity or "length"])
             raise InputError(f'Unknown unit "{shown(unit)}" of column {shown(name)}', where, f"write {known} in units")
