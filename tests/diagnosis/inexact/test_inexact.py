@@ -246,12 +246,13 @@ def test_the_largest_force_that_recordings_do_not_exclude(monkeypatch: pytest.Mo
     monkeypatch.setattr(evidence, "restricted_likelihood", likelihood)
     model = SimpleNamespace(free=lambda effects: np.array([0]))
     search = SimpleNamespace(criteria=CRITERIA, model=model, scales=scales, prior_at=lambda values: None)
-    share = evidence.largest_force(search, SimpleNamespace(point=point, data=None))  # type: ignore[arg-type]
-    most = min(excluded, CRITERIA.cautious_force)
+    linear: Any = SimpleNamespace(point=point, data=None)
+    share = evidence.largest_force(search, linear, 0.02)  # type: ignore[arg-type]
+    most = min(excluded, 0.02)
     assert most / evidence.FORCE_STEP < share <= most
 
 
-@pytest.mark.parametrize(("exact", "share"), [(True, 3e-3), (False, CRITERIA.cautious_force)])
+@pytest.mark.parametrize(("exact", "share"), [(True, 3e-3), (False, 0.02)])
 def test_only_an_exact_model_bounds_the_unknown_force_by_what_recordings_exclude(
     monkeypatch: pytest.MonkeyPatch, exact: bool, share: float
 ) -> None:
@@ -261,6 +262,6 @@ def test_only_an_exact_model_bounds_the_unknown_force_by_what_recordings_exclude
     monkeypatch.setattr(confidence, "largest_force", lambda *_: 3e-3)
     linear = SimpleNamespace(point=SimpleNamespace(discrepancy=now), under=lambda discrepancy: discrepancy)
     search = SimpleNamespace(criteria=CRITERIA, scales=scales)
-    wide: Any = confidence.cautious(search, linear, exact)  # type: ignore[arg-type]
+    wide: Any = confidence.beside_unknown(search, linear, 0.02, exact)  # type: ignore[arg-type]
     np.testing.assert_allclose(wide.force, share * scales.force)
     assert wide.force_time == CRITERIA.shortest_force

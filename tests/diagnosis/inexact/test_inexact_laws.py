@@ -189,20 +189,21 @@ def test_of_laws_that_cannot_be_distinguished_the_one_with_fewer_parameters_is_k
 
 
 @pytest.mark.parametrize(
-    ("predicts", "law", "fall", "cautious", "instead", "word"),
+    ("predicts", "law", "falls", "instead", "word"),
     [
-        (True, False, 50.0, 20.0, (), "sure"),
-        (True, False, 50.0, 7.0, (), "likely"),
-        (True, False, 50.0, 5.0, (), "stand_in"),
-        (True, True, 50.0, 5.0, (), "likely"),
-        (True, True, 50.0, 13.0, (), "sure"),
-        (True, True, 50.0, 13.0, ("Y = a * u",), "ambiguous"),
-        (False, True, 50.0, 5.0, (), "stand_in"),
-        (True, True, 11.0, 5.0, (), "stand_in"),
+        (True, False, (50.0, 20.0, 13.0), (), "sure"),
+        (True, False, (50.0, 20.0, 11.0), (), "likely"),
+        (True, False, (50.0, 7.0, 3.0), (), "likely"),
+        (True, False, (50.0, 5.0, 2.0), (), "stand_in"),
+        (True, True, (50.0, 5.0, 2.0), (), "likely"),
+        (True, True, (50.0, 20.0, 13.0), (), "sure"),
+        (True, True, (50.0, 20.0, 13.0), ("Y = a * u",), "ambiguous"),
+        (False, True, (50.0, 5.0, 2.0), (), "stand_in"),
+        (True, True, (11.0, 5.0, 2.0), (), "stand_in"),
     ],
 )
-def test_the_word_for_a_law(predicts, law, fall, cautious, instead, word) -> None:
-    assert sureness._confidence(12.0, predicts, law, fall, cautious, instead).word == word
+def test_the_word_for_a_law(predicts, law, falls, instead, word) -> None:
+    assert sureness._confidence(12.0, predicts, law, falls, instead).word == word
 
 
 def test_a_law_is_looked_for_beside_a_weaker_force() -> None:

@@ -17,29 +17,31 @@ class Confidence(NamedTuple):
     """How sure one effect is.
 
     `word`: "ambiguous" where another candidate does nearly as well in its place (`twins`); "sure" where chi^2 rises by
-    more than `threshold` without it, even if a share `cautious_force` of the forces were something else; "likely" where
-    it rises by so much under the estimated discrepancy, by half of it under the cautious one, and the effect predicts
-    runs left out; else "stand_in": it lowers the error, but something else may be the cause. A law, whose threshold
-    counts all forms that were tried, is likely without the half: a law is often weaker than the cautious force. `fall`,
-    `cautious_fall`: those rises. `instead`: the candidates that could take its place.
+    more than `threshold` without it, even if a share `largest_random_force` of the forces were something else; "likely"
+    where it rises by so much under the estimated discrepancy, by half of it with a share `cautious_force` unknown, and
+    the effect predicts runs left out; else "stand_in": it lowers the error, but something else may be the cause. A law,
+    whose threshold counts all forms that were tried, is likely without the half: a law is often weaker than the
+    cautious force. `fall`, `cautious_fall`, `sure_fall`: those rises, the last beside the larger force. `instead`: the
+    candidates that could take its place.
     """
 
     word: str
     fall: float
     cautious_fall: float
+    sure_fall: float
     threshold: float
     instead: tuple[str, ...]
 
 
-def cautious(search: Search, linear: Linear, exact: bool) -> Subsets:
-    """The problem at `linear` with a share `cautious_force` of the forces that move the vehicle unknown; where the
-    model is exact, with the largest that the recordings do not exclude, if that is less.
+def beside_unknown(search: Search, linear: Linear, share: float, exact: bool) -> Subsets:
+    """The problem at `linear` with a `share` of the forces that move the vehicle unknown; where the model is exact,
+    with the largest that the recordings do not exclude, if that is less.
 
     Where it is not, the recordings exclude a random force only: an unknown force that depends on the motion may act
     like one of the effects, and then leaves nothing to be seen.
     """
     criteria, scales = search.criteria, search.scales
-    share = largest_force(search, linear) if exact else criteria.cautious_force
+    share = largest_force(search, linear, share) if exact else share
     return linear.under(linear.point.discrepancy.enlarged(share * scales.force, criteria.shortest_force))
 
 
@@ -48,29 +50,33 @@ def confidence(
 ) -> dict[str, Confidence]:
     """How sure each effect of the point of `linear` is; `laws`: those that are laws, with others that do as well;
     `exact`: whether white noise and the model with the stated constants are all that there is."""
-    effects, wide = linear.point.effects, cautious(search, linear, exact and not laws)
-    bare_costs, wide_costs = removal_costs(linear.subsets, effects), removal_costs(wide, effects)
+    effects, criteria, exact = linear.point.effects, search.criteria, exact and not laws
+    wide = beside_unknown(search, linear, criteria.cautious_force, exact)
+    widest = beside_unknown(search, linear, criteria.largest_random_force, exact)
+    costs, wide_costs, widest_costs = (removal_costs(each, effects) for each in (linear.subsets, wide, widest))
     sure = {}
-    for effect, fall in bare_costs.items():
+    for effect, fall in costs.items():
         law = effect in laws
         instead = (*twins(search, linear.subsets if law else wide, effects, effect), *laws.get(effect, ()))
         predicts = predicted.gain(effects, effect).exceeds_standard_error
-        sure[effect] = _confidence(linear.subsets.threshold(effect), predicts, law, fall, wide_costs[effect], instead)
+        falls = fall, wide_costs[effect], widest_costs[effect]
+        sure[effect] = _confidence(linear.subsets.threshold(effect), predicts, law, falls, instead)
     return sure
 
 
 def _confidence(
-    threshold: float, predicts: bool, law: bool, fall: float, cautious_fall: float, instead: tuple[str, ...]
+    threshold: float, predicts: bool, law: bool, falls: tuple[float, float, float], instead: tuple[str, ...]
 ) -> Confidence:
+    fall, cautious_fall, sure_fall = falls
     if instead:
         word = AMBIGUOUS
-    elif cautious_fall >= threshold:
+    elif sure_fall >= threshold:
         word = SURE
     elif fall >= threshold and (law or cautious_fall >= threshold / 2) and predicts:
         word = LIKELY
     else:
         word = STAND_IN
-    return Confidence(word, fall, cautious_fall, threshold, instead)
+    return Confidence(word, *falls, threshold, instead)
 
 
 def twins(search: Search, problem: Subsets, effects: Iterable[str], effect: str) -> tuple[str, ...]:

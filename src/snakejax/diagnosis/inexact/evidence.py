@@ -52,13 +52,13 @@ def model_evidence(search: Search, linear: Linear) -> ModelEvidence:
     )
 
 
-def largest_force(search: Search, linear: Linear) -> float:
-    """The largest random force, as a share of the forces that move the vehicle and at most `cautious_force`, with which
-    -2 log restricted likelihood is not larger by more than `random_force_chi2`, within a factor of `FORCE_STEP`."""
+def largest_force(search: Search, linear: Linear, most: float) -> float:
+    """The largest random force, as a share of the forces that move the vehicle and at most `most`, with which -2 log
+    restricted likelihood is not larger by more than `random_force_chi2`, within a factor of `FORCE_STEP`."""
     criteria, free = search.criteria, search.model.free(linear.point.effects)
     prior, now = search.prior_at(linear.point.values), linear.point.discrepancy
     least = restricted_likelihood(linear.data, now, free, prior)
-    share = criteria.cautious_force
+    share = most
     for _ in range(MOST_FORCE_STEPS):
         wider = now.enlarged(share * search.scales.force, criteria.shortest_force)
         if restricted_likelihood(linear.data, wider, free, prior) - least <= criteria.random_force_chi2:

@@ -97,14 +97,15 @@ class SelectionCriteria(NamedTuple):
     """If a random force was found, the intervals include a further force of this share of the forces that move the
     vehicle. A force that depends on the place or the motion is larger than its estimate as a random force."""
     cautious_force: float = 0.02
-    """An effect is sure if it would be significant even if this share of the forces that move the vehicle had another
-    cause; a smaller share if the model is exact and the recordings exclude so large a random force. Exact: no random
-    force, no law beside it, white noise, constants as stated."""
+    """An effect is likely if its fall is half significant even if this share of the forces that move the vehicle had
+    another cause; a smaller share if the model is exact and the recordings exclude so large a random force. Exact: no
+    random force, no law beside it, white noise, constants as stated."""
     shortest_force: float = 0.5
-    """Time constant [s] of these two forces: an upper limit for intervals, a lower limit for sure effects."""
+    """Time constant [s] of these forces: an upper limit for intervals, a lower limit for likely and sure effects."""
     largest_random_force: float = 0.05
     """A random force above this share of the forces that move the vehicle is a law that the model lacks: the recordings
-    are then not explained."""
+    are then not explained. An effect is sure if it would be significant beside the largest force with which they are;
+    beside a smaller one as for `cautious_force`."""
     least_inside: float = 0.5
     """If the 95% bands hold less than this share of the samples of omitted runs, the model lacks more than a random
     force: its errors grow over a longer time. The errors within a run are correlated, so a single run may have less

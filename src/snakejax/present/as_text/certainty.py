@@ -67,7 +67,7 @@ def force_left(misfit: float) -> str:
 
 
 CONFIDENCE = {
-    "sure": "Sure: it would be significant even if 2% of the forces had another cause.",
+    "sure": "Sure: it would be significant even if 5% of the forces had another cause.",
     "likely": "Likely: it is significant, and omitted runs are predicted better with it.",
     "stand_in": "Stand-in: it lowers the error, but another cause is possible, such as a wrong constant.",
     "ambiguous": "Ambiguous: {others} would explain the runs nearly as well.",
