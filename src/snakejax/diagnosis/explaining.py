@@ -31,6 +31,7 @@ from .inexact.confidence import AMBIGUOUS, STAND_IN, SURE
 from .inexact.explaining import shares_of
 from .latent_force.missing_force import LatentForce, choose_structure
 from .law.adding import best_laws, predicting_steps
+from .law.known_effects import known_effects_beside
 from .selection.acceptance import accept_structure, heldout_consistent
 from .selection.candidates import CandidateFit, CandidateSet
 from .selection.ranking import rank, significant
@@ -251,6 +252,8 @@ def _with_laws(
     laws = best_laws(case, noise, like, last, missing, progress)
     for added in laws:
         steps.append(selection_step(added.candidate_set, "added", added.names[-1], added.fit))
+    if laws and not consistent_with_noise(laws[-1].fit.solution):
+        steps += known_effects_beside(case, noise, like.candidate_set, laws[-1], progress)
     return steps if laws else []
 
 
