@@ -105,10 +105,6 @@ def having(constraint: str, effects: Mapping[str, Mapping[str, float]]) -> Model
 
 
 each_skid = pytest.mark.parametrize("constraint", STRUCTURES)
-each_skid_in_turn = pytest.mark.parametrize(
-    "constraint", ["free", *(pytest.param(each, marks=pytest.mark.long) for each in ("coupled", "ideal"))]
-)
-"""The structure with most freedom always, the others with the long studies."""
 each_effect = pytest.mark.parametrize("name", LIBRARY)
 each_pair = pytest.mark.parametrize(
     ("name", "constraint"),
@@ -228,7 +224,9 @@ def _jacobians(model: Model, names: tuple[str, ...], values, gait: Gait, start):
 
 
 @pytest.mark.slow
-@each_skid_in_turn
+@pytest.mark.parametrize(
+    "constraint", ["free", *(pytest.param(each, marks=pytest.mark.long) for each in ("coupled", "ideal"))]
+)
 def test_gradients_at_rest_are_finite(constraint: str) -> None:
     """For every parameter and the start: all neutral, each effect at its strength, and with joints that stay still."""
     names = tuple(name for name in parameters(neutral(constraint)) if name.startswith("effects."))

@@ -244,17 +244,19 @@ def _conclude(
 def _with_laws(
     case: Case, noise: Noise, diagnosis: BaseDiagnosis, last: WorkingStep, missing: LatentForce, progress: Progress
 ) -> list[WorkingStep]:
-    """The steps to the model with the laws of the missing force; none where no law predicts runs left out."""
+    """The steps to the model with the laws of the missing force, and with known effects beside them where they leave
+    more than noise; none where no law predicts runs left out."""
     like, steps = diagnosis.base, []
     if missing.switched and diagnosis.switched is not None:
         like = selection_step(diagnosis.switched[0], "added", LATERAL_SLIP_SWITCH, diagnosis.switched[1])
         steps.append(like)
     laws = best_laws(case, noise, like, last, missing, progress)
-    for added in laws:
-        steps.append(selection_step(added.candidate_set, "added", added.names[-1], added.fit))
-    if laws and not consistent_with_noise(laws[-1].fit.solution):
+    if not laws:
+        return []
+    steps += [selection_step(added.candidate_set, "added", added.names[-1], added.fit) for added in laws]
+    if not consistent_with_noise(laws[-1].fit.solution):
         steps += known_effects_beside(case, noise, like.candidate_set, laws[-1], progress)
-    return steps if laws else []
+    return steps
 
 
 def _conclude_with_law(

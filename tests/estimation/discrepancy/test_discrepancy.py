@@ -4,13 +4,12 @@ import dataclasses
 from functools import cache
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.small_case import small
+from oracles.scipy_runs import integrated
 from scipy import optimize, stats
-from scipy.integrate import solve_ivp
 
 from snakejax import Accuracy, Model, Pacejka, simulate
 from snakejax.core.parameter import with_parameters
@@ -332,12 +331,9 @@ def end_of_segment(k: int, values: np.ndarray, start: np.ndarray) -> np.ndarray:
     s = segments()
     run = s.runs[s.cut.run[k]]
     model = with_parameters(s.model, dict(zip(NAMES, map(jnp.asarray, values), strict=True)))
-    gait = model.prepared(run.gait)
-    steered = model.start((0.0, 0.0, 0.0))[1]
-    rates = jax.jit(lambda t, y: jnp.stack(model.rates(t, (tuple(y), steered), gait)[0]))
-    span = (s.cut.times[k][0], s.cut.times[k][-1])
-    done = solve_ivp(lambda t, y: np.asarray(rates(t, y)), span, start[:BODY], "LSODA", rtol=1e-9, atol=1e-11)
-    return done.y[:, -1]
+    state, span = (tuple(start[:BODY]), model.start((0.0, 0.0, 0.0))[1]), (s.cut.times[k][0], s.cut.times[k][-1])
+    done = integrated(model, run.gait, span, state, method="LSODA", rtol=1e-9, atol=1e-11)
+    return np.array(done.state[0])[:, -1]
 
 
 STIFF = np.array([9.0, 0.0, 7.0])
