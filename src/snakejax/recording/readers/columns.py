@@ -97,7 +97,7 @@ def _named(
     if not any(p.role == "heading" or p.role in TURN for p in parsed.values()):
         # An angle beside a place, where nothing else says how the object is turned.
         for i, (text, unit) in enumerate(map(without_unit, names)):
-            if text.strip().lower() == "angle" and i not in taken:
+            if text.lower() == "angle" and i not in taken:
                 parsed[i] = Named("", "heading", False, unit)
     turned = {p.object for p in parsed.values() if may_turn and p.role == "qw" and p.plain}
     turned -= {p.object for p in parsed.values() if p.role == "qx"}

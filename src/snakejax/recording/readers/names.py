@@ -120,7 +120,7 @@ def without_unit(name: str) -> tuple[str, str]:
     match = _UNIT.search(text)
     if match is None or match.start() == 0:
         return text, ""
-    return text[: match.start()], UNIT_OF[match["unit"].lower()]
+    return text[: match.start()].rstrip(), UNIT_OF[match["unit"].lower()]
 
 
 def named(name: str) -> Named | None:
