@@ -52,10 +52,15 @@ class _Parser(argparse.ArgumentParser):
     def parse_known_args(self, args=None, namespace=None):  # type: ignore[override]
         """As argparse does. **Raises:** `InputError` for an unknown option, with the one that was meant."""
         known, rest = super().parse_known_args(args, namespace)
-        for word in (word.partition("=")[0] for word in rest if word.startswith("--")):
+        for word in (word.partition("=")[0] for word in rest if word.startswith("-") and word != "-"):
             shown = (action for action in self._actions if action.help is not argparse.SUPPRESS)
-            options = [option for action in shown for option in action.option_strings if option.startswith("--")]
-            raise InputError(f"`{self.prog}` has no option `{word}`", "command line", instead_of(word, options))
+            options = [option for action in shown for option in action.option_strings]
+            if word.startswith("--"):
+                meant, options = word, [option for option in options if option.startswith("--")]
+            else:  # A letter is like no word: the first option that begins with it.
+                letter = word[1].lower()
+                meant = next((option for option in options if option.lstrip("-").lower().startswith(letter)), "")
+            raise InputError(f"`{self.prog}` has no option `{word}`", "command line", instead_of(meant, options))
         return known, rest
 
 
