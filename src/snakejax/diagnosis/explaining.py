@@ -35,7 +35,7 @@ from .law.known_effects import known_effects_beside
 from .selection.acceptance import accept_structure, heldout_consistent
 from .selection.candidates import CandidateFit, CandidateSet
 from .selection.ranking import rank, significant
-from .selection.steps import SelectionStep
+from .selection.steps import SelectionStep, indistinguishable
 from .selection.stepwise import stepwise_selection
 from .selection.working_step import WorkingStep, selection_step
 from .windows import explaining as windows
@@ -296,7 +296,7 @@ def _explained(
         (),
         steps[0].left_out,
         None,
-        confidence={effect: _confidence_where_exact(final, effect) for effect in final.effects},
+        confidence={effect: _confidence_where_exact(steps, effect) for effect in final.effects},
         share=share,
         explained_share=explained_share,
         bands=bands_of(final.fitted),
@@ -305,10 +305,11 @@ def _explained(
     )
 
 
-def _confidence_where_exact(final: SelectionStep, effect: str) -> str:
+def _confidence_where_exact(steps: Sequence[SelectionStep], effect: str) -> str:
     """How sure an effect is where it leaves only noise: the model is exact, so only a twin or a constant is as good."""
-    if any(row.effect == effect and row.confusable_with for row in final.ranking):
+    if indistinguishable(steps, effect):
         return AMBIGUOUS
+    final = steps[-1]
     port = final.model.effects.get(effect)
     stated_sd = final.model.board.stated_sd
     for name, constant in ({} if port is None else port.equivalent_constant).items():

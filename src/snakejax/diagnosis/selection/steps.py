@@ -1,6 +1,8 @@
 """One step of an explanation as plain data: the model after it, how it fares, and the candidates beside it."""
 
 import dataclasses
+import itertools
+from collections.abc import Sequence
 from typing import Any
 
 from snakejax.core.tabular import Tabular, three_digits
@@ -118,3 +120,27 @@ class SelectionStep(Tabular):
         if effect in self.model.effects:
             return self.model.effects[effect].description
         return next((row.description for row in self.ranking if row.effect == effect), "")
+
+
+def indistinguishable(steps: Sequence[SelectionStep], effect: str) -> tuple[str, ...]:
+    """The candidates that explain the runs nearly as well as `effect`, by the ranking beside which it was added.
+
+    Those that are confusable with it, unless both were refitted on whole runs and chi^2 differs there by more than
+    `distinct_chi2`. Effects of the last step are none: both act.
+    """
+    rankings = [
+        before for before, after in itertools.pairwise(steps) if (after.change, after.name) == ("added", effect)
+    ]
+    if not rankings:
+        return ()
+    before = rankings[-1]
+    rows = {row.effect: row for row in before.ranking}
+
+    def distinct(other: str) -> bool:
+        own, others = rows[effect].refit_misfit, rows[other].refit_misfit
+        if own is None or others is None:
+            return False
+        return abs(others - own) * before.train.samples > before.criteria.distinct_chi2
+
+    twins = rows[effect].confusable_with if effect in rows else ()
+    return tuple(name for name in twins if name in rows and name not in steps[-1].effects and not distinct(name))

@@ -6,6 +6,7 @@ from snakejax.core.parameter import parameters, unit_text
 from snakejax.core.tabular import listed
 from snakejax.diagnosis.explanation import Explanation
 from snakejax.diagnosis.residuals.horizon import horizon_errors
+from snakejax.diagnosis.selection.steps import indistinguishable
 
 from .errors import pose_error_text
 from .tables import number, values_text
@@ -17,6 +18,7 @@ def confidence_sentences(explanation: Explanation, effect: str) -> Iterator[str]
     if word is None:
         return
     twins = {row.effect: None for row in explanation.candidates if effect in row.instead_of}
+    twins = twins or dict.fromkeys(indistinguishable(explanation.steps, effect))
     others = listed(tuple(twins), "or") if twins else "another effect"
     sure = SURE_OF_WINDOWS if explanation.of_windows else SURE_WHERE_EXACT if explanation.floor is None else ""
     yield (sure if word == "sure" else "") or CONFIDENCE[word].format(others=others)
