@@ -33,6 +33,15 @@ def _no_command(name: str, known: Iterable[str]) -> InputError:
     return InputError(f"There is no command `{name}`", "argument COMMAND", remedy)
 
 
+def _no_option(command: str, word: str, known: Sequence[str]) -> InputError:
+    if word.startswith("--"):
+        remedy = instead_of(word, [option for option in known if option.startswith("--")])
+    else:  # A letter is like no word: the first option that begins with it.
+        letter = word[1].lower()
+        remedy = instead_of(next((o for o in known if o.lstrip("-").lower().startswith(letter)), ""), known)
+    return InputError(f"`{command}` has no option `{word}`", "command line", remedy)
+
+
 class _Parser(argparse.ArgumentParser):
     """A parser that reports errors as `InputError`."""
 
@@ -52,15 +61,10 @@ class _Parser(argparse.ArgumentParser):
     def parse_known_args(self, args=None, namespace=None):  # type: ignore[override]
         """As argparse does. **Raises:** `InputError` for an unknown option, with the one that was meant."""
         known, rest = super().parse_known_args(args, namespace)
-        for word in (word.partition("=")[0] for word in rest if word.startswith("-") and word != "-"):
+        unknown = next((word.partition("=")[0] for word in rest if word.startswith("-") and word != "-"), None)
+        if unknown is not None:
             shown = (action for action in self._actions if action.help is not argparse.SUPPRESS)
-            options = [option for action in shown for option in action.option_strings]
-            if word.startswith("--"):
-                meant, options = word, [option for option in options if option.startswith("--")]
-            else:  # A letter is like no word: the first option that begins with it.
-                letter = word[1].lower()
-                meant = next((option for option in options if option.lstrip("-").lower().startswith(letter)), "")
-            raise InputError(f"`{self.prog}` has no option `{word}`", "command line", instead_of(meant, options))
+            raise _no_option(self.prog, unknown, [option for action in shown for option in action.option_strings])
         return known, rest
 
 

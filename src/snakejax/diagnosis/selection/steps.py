@@ -128,12 +128,10 @@ def indistinguishable(steps: Sequence[SelectionStep], effect: str) -> tuple[str,
     Those that are confusable with it, unless both were refitted on whole runs and chi^2 differs there by more than
     `distinct_chi2`. Effects of the last step are none: both act.
     """
-    rankings = [
-        before for before, after in itertools.pairwise(steps) if (after.change, after.name) == ("added", effect)
-    ]
-    if not rankings:
+    pairs = [*itertools.pairwise(steps)]
+    before = next((b for b, after in reversed(pairs) if (after.change, after.name) == ("added", effect)), None)
+    if before is None:
         return ()
-    before = rankings[-1]
     rows = {row.effect: row for row in before.ranking}
 
     def distinct(other: str) -> bool:
