@@ -27,7 +27,7 @@ ALLOWED: dict[str, set[str]] = {
 TOP = "commands"
 """The commands may import everything, and no package imports them."""
 ONLY_IN = {
-    "diffrax": {"simulation.integrate", "simulation.ensemble"},
+    "diffrax": {"simulation.integrate", "simulation.forward_loop", "simulation.ensemble"},
     "optimistix": {"estimation.levenberg_marquardt", "simulation.rayleigh_match", "design.tuning"},
     "distributed": {"simulation.dask_executor"},
     "heyoka": {"simulation.taylor_series", "simulation.taylor_ensemble"},

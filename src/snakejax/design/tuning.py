@@ -12,7 +12,7 @@ from snakejax.core.errors import InputError
 from snakejax.core.jax_config import require_x64
 from snakejax.core.progress import Progress, no_progress
 from snakejax.core.tabular import Tabular
-from snakejax.dynamics.inputs import AbstractInputs, Gait
+from snakejax.dynamics.inputs import AbstractInputs, G, Gait, with_signals
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.signals import Logged, Sines
 
@@ -170,7 +170,8 @@ def tune(
     _require_possible(boards[0], objective, limits, seconds)
     task = _problem(boards, objective, limits, seconds, options)
     driver, start = task.spec.driver, options.get("start", ORIGIN)
-    known = [within(boards[0], driver.driven(command(g)), limits, seconds) for g in options.get("given", ())]
+    given = [_filled_up(command(gait), task.spec.shape) for gait in options.get("given", ())]
+    known = [within(boards[0], driver.driven(gait), limits, seconds) for gait in given]
     minima, screened = _minima(task, known, options)
 
     def gait_result(board: Model, gait: AbstractInputs) -> GaitResult:
@@ -213,6 +214,13 @@ def _problem(
     )
     over = options.get("over", "mean")
     return GaitProblem(boards[0], tuple(boards[1:] or boards), spec, objective, limits, seconds, over)
+
+
+def _filled_up(gait: G, family: GaitFamily) -> G:
+    """`gait` with its sums of sines filled up to the terms of those of `family`: one program simulates both."""
+    example = family.gait(jnp.asarray(family.bounds()[0]))
+    terms = max((s.amplitude.size for n in family.names if isinstance(s := example.signal(n), Sines)), default=0)
+    return with_signals(gait, lambda s: s.padded(max(terms, s.amplitude.size)) if isinstance(s, Sines) else s)
 
 
 def _minima(task: GaitProblem, known: Sequence[AbstractInputs], options: TuningOptions) -> tuple[list[Minimum], int]:

@@ -1,8 +1,8 @@
-"""Simulation of one run: integration of the equations of motion with diffrax."""
+"""Simulation of one run: integration of the equations of motion by Tsit5, with the derivative that is asked for."""
 
 from collections.abc import Callable, Sequence
 from functools import cache
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -16,6 +16,8 @@ from snakejax.dynamics.contact import Motion
 from snakejax.dynamics.inputs import AbstractInputs
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.sampled_signals import held_signals
+
+from .forward_loop import Rates, integrate_forward
 
 NUDGE = 1e-9
 """Speed [m/s, rad/s] of the finite difference that gives the stiffness at rest."""
@@ -93,59 +95,116 @@ def _simulate(model, gait, times, start, accuracy: Accuracy, throw: bool, restin
         t0 = jnp.where(resting, begins, delayed[0])
         delayed = jnp.where(resting, jnp.maximum(delayed, begins), delayed)
         state = model.initial_state(tuple(start[k] for k in range(start.shape[0])), t0, gait)
-    states, finished = _integrate(model, gait, state, t0, delayed, accuracy, throw)
+    states, finished = _integrate(_Run(model, gait, state, t0, delayed), accuracy, throw)
     pose = jnp.stack(model.observe(states[0]), axis=-1)
     return Trajectory(times, jnp.where(finished, pose, jnp.inf), states, delayed, finished)
 
 
-def _integrate(
-    model: Model,
-    gait: AbstractInputs,
-    state: Any,
-    t0: Scalar,
-    times: Float[Array, " n"],
-    accuracy: Accuracy,
-    throw: bool,
-) -> tuple[Any, Bool[Array, ""]]:
-    forward = accuracy.derivative == "forward"
-    most_steps = max(accuracy.max_steps, STEPS_A_SAMPLE * times.shape[0])
-    # diffrax fails on an empty tuple inside the state, so it integrates the list of leaves.
-    leaves, structure = jax.tree.flatten(state)
+class _Run(NamedTuple):
+    """A run from the `state` of the `model` at `begin` [s] over `times` (n,) [s]: all that its derivatives are by."""
 
-    @jax.jit  # so that it is traced and differentiated once, and not at each place where it is called
-    def rates(t: Scalar, y: list[Scalar]) -> list[Scalar]:
-        return jax.tree.leaves(model.rates(t, jax.tree.unflatten(structure, y), gait))
+    model: Model
+    gait: AbstractInputs
+    state: Any
+    begin: Scalar
+    times: Float[Array, " n"]
 
-    if accuracy.step is None:
+
+def _integrate(run: _Run, accuracy: Accuracy, throw: bool) -> tuple[Any, Bool[Array, ""]]:
+    """The states at the times of `run`, with a leading axis n, and whether its end was reached."""
+    if accuracy.derivative == "forward":
+        return _by_forward_loop(run, accuracy, throw)
+    return _with_reverse_derivative(run, accuracy, throw)
+
+
+@eqx.filter_custom_vjp
+def _with_reverse_derivative(run: _Run, accuracy: Accuracy, throw: bool) -> tuple[Any, Bool[Array, ""]]:
+    """The smaller program, as long as no derivative is taken: it compiles in half the time of diffrax's."""
+    return _by_forward_loop(run, accuracy, throw)
+
+
+@_with_reverse_derivative.def_fwd
+def _derivative_kept(perturbed, run: _Run, accuracy: Accuracy, throw: bool):
+    del perturbed
+    solved, pull = eqx.filter_vjp(lambda run: _by_diffrax(run, accuracy, throw), run)
+    return solved, (pull, solved)
+
+
+@_with_reverse_derivative.def_bwd
+def _pulled_back(kept, cotangents, perturbed, run: _Run, accuracy: Accuracy, throw: bool):
+    del perturbed, run, accuracy, throw
+    pull, solved = kept
+
+    def filled(out: Array | None, cotangent: Array | None) -> Array | None:
+        # What does not reach the result has no cotangent.
+        return jnp.zeros_like(out) if cotangent is None and out is not None else cotangent
+
+    by_outputs = eqx.filter(solved, eqx.is_inexact_array)
+    return pull(jax.tree.map(filled, by_outputs, cotangents, is_leaf=lambda part: part is None))[0]
+
+
+class _Stepping(NamedTuple):
+    """The `rates` of the leaves of a state, its `leaves` and their `structure`, and how the steps are chosen."""
+
+    rates: Rates
+    leaves: list[Scalar]
+    structure: Any
+    controller: diffrax.AbstractStepSizeController
+    first_step: Scalar | float
+    most_steps: int
+
+    @staticmethod
+    def of(run: _Run, accuracy: Accuracy) -> "_Stepping":
+        model, gait, state, begin, times = run
+        most_steps = max(accuracy.max_steps, STEPS_A_SAMPLE * times.shape[0])
+        # diffrax fails on an empty tuple inside the state, so the list of leaves is integrated.
+        leaves, structure = jax.tree.flatten(state)
+
+        @jax.jit  # so that it is traced and differentiated once, and not at each place where it is called
+        def rates(t: Scalar, y: list[Scalar]) -> list[Scalar]:
+            return jax.tree.leaves(model.rates(t, jax.tree.unflatten(structure, y), gait))
+
+        if accuracy.step is not None:
+            return _Stepping(rates, leaves, structure, diffrax.ConstantStepSize(), accuracy.step, most_steps)
         # Near rest the tyre is stiff and stability limits the step. Beyond that limit the derivatives would grow, which
         # the error control does not measure; with these proportional and integral gains the step does not overshoot.
         gains = {"pcoeff": 0.2, "icoeff": 0.4, "safety": 0.8, "norm": _error_size(len(jax.tree.leaves(state[0])))}
         # The bound uses at most half of the steps; the others remain for the time in which the board moves.
-        most = jnp.maximum(_stable_at_rest(rates, state, t0), 2 * (times[-1] - t0) / most_steps)
+        most = jnp.maximum(_stable_at_rest(rates, state, begin), 2 * (times[-1] - begin) / most_steps)
         most = jax.lax.stop_gradient(most)
         controller = _RestBoundedPIDController(rtol=accuracy.rtol, atol=accuracy.atol, from_rest=most, **gains)
-        dt0 = jnp.minimum(1e-3, most)
-    else:
-        controller, dt0 = diffrax.ConstantStepSize(), accuracy.step
-    # A command that is held jumps at its samples: a step across a jump would have an error that no derivative shows.
-    jumps = [command.knots for command in held_signals(gait)]
-    if jumps and accuracy.step is None:
-        at = jnp.sort(jnp.concatenate(jumps))
-        controller = diffrax.ClipStepSizeController(controller, jump_ts=jax.lax.stop_gradient(at))
+        # A command that is held jumps at its samples: a step across a jump would have an error that no derivative
+        # shows.
+        jumps = [command.knots for command in held_signals(gait)]
+        if jumps:
+            at = jax.lax.stop_gradient(jnp.sort(jnp.concatenate(jumps)))
+            controller = diffrax.ClipStepSizeController(controller, jump_ts=at)
+        return _Stepping(rates, leaves, structure, controller, jnp.minimum(1e-3, most), most_steps)
+
+
+def _by_forward_loop(run: _Run, accuracy: Accuracy, throw: bool) -> tuple[Any, Bool[Array, ""]]:
+    rates, leaves, structure, *control = _Stepping.of(run, accuracy)
+    samples, finished = integrate_forward(rates, leaves, run.begin, run.times, *control)
+    if throw:
+        samples = diffrax.RESULTS.max_steps_reached.error_if(samples, ~finished)
+    return jax.tree.unflatten(structure, samples), finished
+
+
+def _by_diffrax(run: _Run, accuracy: Accuracy, throw: bool) -> tuple[Any, Bool[Array, ""]]:
+    how = _Stepping.of(run, accuracy)
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(lambda t, y, _: rates(t, y)),
+        diffrax.ODETerm(lambda t, y, _: how.rates(t, y)),
         diffrax.Tsit5(),
-        t0=t0,
-        t1=jnp.maximum(times[-1], t0 + 1e-9),
-        dt0=dt0,
-        y0=leaves,
-        saveat=diffrax.SaveAt(ts=times),
-        stepsize_controller=controller,
-        adjoint=diffrax.ForwardMode() if forward else diffrax.RecursiveCheckpointAdjoint(),
-        max_steps=most_steps,
+        t0=run.begin,
+        t1=jnp.maximum(run.times[-1], run.begin + 1e-9),
+        dt0=how.first_step,
+        y0=how.leaves,
+        saveat=diffrax.SaveAt(ts=run.times),
+        stepsize_controller=how.controller,
+        max_steps=how.most_steps,
         throw=throw,
     )
-    return jax.tree.unflatten(structure, solution.ys), solution.result == diffrax.RESULTS.successful
+    return jax.tree.unflatten(how.structure, solution.ys), solution.result == diffrax.RESULTS.successful
 
 
 @cache
@@ -187,14 +246,17 @@ class _RestBoundedPIDController(diffrax.PIDController):
         return keep, begin, end, jumped, memory, result
 
 
-def _stable_at_rest(rates: Callable[[Scalar, list[Scalar]], list[Scalar]], state: Any, t: Scalar) -> Scalar:
+def _stable_at_rest(rates: Rates, state: Any, t: Scalar) -> Scalar:
     """The longest step [s] near rest, 2 / fastest decay rate: inside the stability interval of Tsit5."""
-    body, memories = jax.tree.map(jnp.zeros_like, state)
-    nudged = (*body[:3], *(part + NUDGE for part in body[3:]))
+    body, memories = jax.tree.map(lambda part: jnp.zeros((), jnp.result_type(part)), state)
     if not body[3:]:  # The inputs alone prescribe the motion.
         return jnp.asarray(jnp.inf)
-    still, moving = (rates(t, jax.tree.leaves((at, memories)))[3 : len(body)] for at in (body, nudged))
-    fastest = jnp.max(jnp.abs(jnp.stack(moving) - jnp.stack(still))) / NUDGE
+    nudged = (*body[:3], *(part + NUDGE for part in body[3:]))
+    pairs = zip(*(jax.tree.leaves((at, memories)) for at in (body, nudged)), strict=True)
+    both = [jnp.stack(pair) for pair in pairs]
+    # One after the other, so that the program holds the rates once for both.
+    velocities = jnp.stack(jax.lax.map(lambda y: rates(t, y), both)[3 : len(body)])
+    fastest = jnp.max(jnp.abs(velocities[:, 1] - velocities[:, 0])) / NUDGE
     return 2.0 / jnp.maximum(jax.lax.stop_gradient(fastest), 1.0)
 
 

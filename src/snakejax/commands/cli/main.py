@@ -46,6 +46,11 @@ class _Parser(argparse.ArgumentParser):
     """A parser that reports errors as `InputError`."""
 
     def error(self, message: str) -> NoReturn:
+        missing = re.fullmatch(r"the following arguments are required: (.+)", message)
+        if missing:
+            names = missing[1].replace(", ", " ")
+            what, remedy = f"`{self.prog}` was called without {names}", f"write `{self.prog} {names}`, see its --help"
+            raise InputError(what, "command line", remedy)
         raise InputError(message, "command line", f"see `{self.prog} --help`")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
