@@ -69,6 +69,9 @@ def score(found: dict[str, Any], key: dict[str, Any], truth: dict[str, Any] | No
         "helpers": [name for name in final.get("effects") or {} if name not in claimed],
         "seconds": found["seconds"]["total"],
     }
+    if key["odd"]:
+        row["odd_named"] = bool({odd["run"] for odd in found.get("odd_runs") or ()} & set(key["odd"]))
+        row["others_odd"] = sorted({odd["run"] for odd in found.get("odd_runs") or ()} - set(key["odd"]))
     row["strong_first"] = is_same(row["first"], key["strong"]) if key["strong"] else None
     if truth:
         row["detectable"] = [name for name in key["effects"] if clear(name, key, truth) >= DETECTABLE]

@@ -65,7 +65,13 @@ def plain_part(rows: list[Row]) -> list[str]:
             "boards with an absent effect called sure", [bool(r["false_sure"]) for r in rows], "none", lambda s: s == 0
         )
     ]
-    return lines + ([share("strong effect first", strong, "all", lambda s: s == 1)] if strong else [])
+    if strong:
+        lines.append(share("strong effect first", strong, "all", lambda s: s == 1))
+    odd = [row for row in rows if "odd_named" in row]
+    if odd:
+        lines.append(share("the odd run named", [row["odd_named"] for row in odd], ">= 95 %", lambda s: s >= 0.95))
+        lines.append(share("another run called odd", [bool(row["others_odd"]) for row in odd], ""))
+    return lines
 
 
 def null_part(rows: list[Row]) -> list[str]:

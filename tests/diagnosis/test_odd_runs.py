@@ -58,6 +58,13 @@ def test_a_run_with_another_tyre_is_found() -> None:
     assert sum("tyre.D" in (odd.parameter, *odd.alike) for odd in named) >= 45
 
 
+def test_a_run_that_is_far_off_makes_no_other_odd() -> None:
+    """It moves what is fitted in common, by which the others fail too."""
+    found = [found_in(3000 + k, tyre__D=60.0) for k in range(50)]
+    assert [odd[0].run for odd in found] == ["three"] * 50
+    assert sum(len(odd) > 1 for odd in found) <= 3
+
+
 def test_of_two_runs_none_is_the_odd_one() -> None:
     r, C, run = made_up(3, tyre__D=50.0)
     keep = (run == 1) | (run == 2)

@@ -1,6 +1,6 @@
 """Checks of a model that leaves only noise: the bands of each run, and runs that differ from the others."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from .odd_runs import OddRun, odd_runs, run_grams
 from .selection.candidates import CandidateFit, CandidateSet
 from .selection.score_test import projected
 from .selection.screening import window_sensitivities
+from .selection.steps import SelectionStep
+from .selection.working_step import WorkingStep, selection_step
 
 STATED_WELL = 3.5
 """A constant is not off by more than so many standard deviations of what is known of it: one in two thousand."""
@@ -39,6 +41,29 @@ def odd_runs_beside(candidate_set: CandidateSet, step: CandidateFit) -> tuple[Od
     known = parameters(problem.model)
     shifts = odd_runs(run_grams(rest.residual, -rest.columns, rest.run), runs, columns, fitted)
     return tuple(shift.in_units(known[shift.parameter].domain, float(values[shift.parameter])) for shift in shifts)
+
+
+def odd_run_rather_than_effect(
+    steps: Sequence[WorkingStep], show: Callable[[SelectionStep], None]
+) -> list[WorkingStep]:
+    """`steps`, and after them one for each effect that is dropped because one run alone is the better explanation.
+
+    Where a model leaves only noise before an effect is added, the effect is an answer to little, and a parameter with a
+    value of its own in a single run may be a better one: it is where it lowers chi^2 by `distinct_chi2` more than the
+    effect does in all runs. The effect added last is judged first.
+    """
+    judged = list(steps)
+    for before, after in zip(reversed(steps[:-1]), reversed(steps[1:]), strict=True):
+        if after.record.change != "added" or not consistent_with_noise(before.step.solution):
+            break
+        fall = before.step.solution.samples * (before.step.solution.misfit - after.step.solution.misfit)
+        odd = odd_runs_beside(before.candidate_set, before.step)
+        if not max((one.fall for one in odd), default=0.0) > fall + before.candidate_set.criteria.distinct_chi2:
+            break
+        name, ranking = after.record.name, before.ranking
+        judged.append(selection_step(before.candidate_set, "dropped", name, before.step, ranking))
+        show(judged[-1].record)
+    return judged
 
 
 def constants_explain(candidate_set: CandidateSet, step: CandidateFit, stated: Mapping[str, float]) -> bool:

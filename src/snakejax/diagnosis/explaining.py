@@ -25,7 +25,7 @@ from snakejax.recording.run import Case, Noise
 
 from .all_effects_at_once import with_all_effects_at_once
 from .diagnosing import BaseDiagnosis, DiagnosisOptions, diagnose_base, start_of
-from .exact_checks import STATED_WELL, bands_of, constants_explain, odd_runs_beside
+from .exact_checks import STATED_WELL, bands_of, constants_explain, odd_run_rather_than_effect, odd_runs_beside
 from .explanation import Explanation
 from .inexact.confidence import AMBIGUOUS, STAND_IN, SURE
 from .inexact.explaining import shares_of
@@ -96,6 +96,7 @@ def explain(
         diagnosis, working_steps = _select(case, noise, library, question)
     for working_step in working_steps if logged else ():
         show(working_step.record)
+    working_steps = odd_run_rather_than_effect(working_steps, show)
     return _with_clock_errors(_conclude(case, noise, diagnosis, working_steps, progress), working_steps[-1], progress)
 
 

@@ -35,6 +35,11 @@ class OddRun(NamedTuple):
     p_value: float
     alike: tuple[str, ...] = ()
 
+    @property
+    def fall(self) -> float:
+        """By how much chi^2 falls with the shift."""
+        return (self.shift / self.sd) ** 2
+
     def in_units(self, domain: Domain, value: float) -> "OddRun":
         """With a shift of the parameter at `value`, where it was one of the coordinates that a fit moves."""
         scale = abs(value) if domain.multiplicative else 1.0
@@ -64,11 +69,28 @@ def odd_runs(
 
         u^2 / V,   u = C_k^T (r - C d),   V = G_i[k, k] - G_i[k, F] H^-1 G_i[F, k],   s = u / V,
 
-    which is chi^2 with one degree of freedom where run i is like the others (score test, Rao 1948). `names`: the
-    parameters that may shift and their columns. Fewer than three runs have no odd one.
+    which is chi^2 with one degree of freedom where run i is like the others (score test, Rao 1948). The others
+    are judged again without the run that is found: it moves the common parameters, which makes them look odd too.
+    `names`: the parameters that may shift and their columns. Of fewer than three runs none is the odd one.
     """
-    if len(runs) < TRAIN_RUNS:
-        return ()
+    found: list[OddRun] = []
+    gram, left = gram.copy(), len(runs)
+    while left >= TRAIN_RUNS and (odd := _oddest(gram, runs, names, fitted, precision)) is not None:
+        run, shift = odd
+        found.append(shift)
+        gram[run] = 0.0
+        left -= 1
+    return tuple(found)
+
+
+def _oddest(
+    gram: Float[np.ndarray, "R P1 P1"],
+    runs: Sequence[str],
+    names: Mapping[str, int],
+    fitted: Sequence[int],
+    precision: Float[np.ndarray, " P"] | None,
+) -> tuple[int, OddRun] | None:
+    """The run and the parameter whose shift lowers chi^2 most, and the number of the run; None where none is odd."""
     rows = np.asarray(fitted, int) + 1
     total = gram.sum(axis=0)
     normal = total[np.ix_(rows, rows)]
@@ -76,17 +98,16 @@ def odd_runs(
         normal = normal + np.diag(precision[list(fitted)])
     inverse = _pseudoinverse(normal)
     step = inverse @ total[rows, 0]
-    shifts = []
-    for run, one in zip(runs, gram, strict=True):
-        scores = [_score(one, rows, inverse, step, k + 1) for k in names.values()]
-        best = int(np.argmax([fall for fall, _, _ in scores]))
-        fall, shift, sd = scores[best]
-        p = min(1.0, float(stats.chi2.sf(fall, 1)) * len(runs) * len(names))
-        if p < LEVEL:
-            near = [name for name, s in zip(names, scores, strict=True) if s[0] > fall - ALIKE]
-            parameter = list(names)[best]
-            shifts.append(OddRun(run, parameter, shift, sd, p, tuple(name for name in near if name != parameter)))
-    return tuple(sorted(shifts, key=lambda odd: odd.p_value))
+    scores = [[_score(one, rows, inverse, step, k + 1) for k in names.values()] for one in gram]
+    falls = np.array([[fall for fall, _, _ in of_run] for of_run in scores])
+    run, best = np.unravel_index(np.argmax(falls), falls.shape)
+    fall, shift, sd = scores[run][best]
+    p = min(1.0, float(stats.chi2.sf(fall, 1)) * falls.size)
+    if not p < LEVEL:
+        return None
+    parameter = list(names)[best]
+    near = [name for name, other in zip(names, falls[run], strict=True) if other > fall - ALIKE]
+    return int(run), OddRun(runs[run], parameter, shift, sd, p, tuple(name for name in near if name != parameter))
 
 
 def _pseudoinverse(normal: np.ndarray) -> np.ndarray:

@@ -7,9 +7,10 @@ import pytest
 from snakejax import TABLE_II, Board, Case, Gait, Model, Noise, Pacejka, Run, Sines, simulate
 from snakejax.core.local_polynomials import local_cubics
 from snakejax.diagnosis import diagnose
-from snakejax.diagnosis.selection.score_test import ProjectedResiduals, confusable, score
+from snakejax.diagnosis.selection.score_test import ProjectedResiduals, confusable, project_starts, score
 from snakejax.effects import ComOffset, GripSplit, GroundSlope, YawBias
 from snakejax.estimation.goodness_of_fit import noise_band
+from snakejax.estimation.linearisation import Linearised
 from snakejax.estimation.multiple_shooting import SMOOTHING
 
 
@@ -126,3 +127,12 @@ def test_velocities_are_those_of_local_cubics():
             near = (np.abs(t - t[k]) < 0.125) & ~lost
             c = np.polyfit(t[near] - t[k], wild[near], 3)
             np.testing.assert_allclose((pose[k], rate[k]), (c[-1], c[-2]), atol=1e-7)
+
+
+def test_runs_are_numbered_as_they_come() -> None:
+    """And not by their names: an odd run would be called by the name of another."""
+    rng = np.random.default_rng(0)
+    linearised = Linearised(rng.normal(size=(4, 10, 3)), rng.normal(size=(4, 10, 3, 2 + 3)))
+    times = np.tile(np.arange(10) / 10, (4, 1))
+    rest = project_starts(linearised, np.ones((4, 3)), [0, 2, 3], times, 1.5, ["rotate", "forward", "arc", "rotate"])
+    assert rest.run is not None and rest.run.tolist() == [0] * 30 + [1] * 30 + [0] * 30

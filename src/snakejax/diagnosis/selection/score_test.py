@@ -20,7 +20,7 @@ class ProjectedResiduals(NamedTuple):
     """Residual (N,) and parameter columns (N, P), with what the starts of runs or windows explain projected out.
 
     `block` (N,) numbers stretches of a second or two: the errors within one may depend on each other. `lost` counts the
-    start components that were estimated. `run` (N,) numbers the runs; None where they are one.
+    start components that were estimated. `run` (N,) numbers the runs as they come; None where they are one.
     """
 
     residual: np.ndarray
@@ -73,8 +73,8 @@ def project_starts(
         count = int(blocks[-1].max()) + 1
     observable = (linearised.jacobian[list(runs)][..., width:] ** 2).sum(axis=(1, 2)) > 0
     lost = int((observable & (free_start[list(runs)] > 0)).sum())
-    run_numbers = np.unique([cut_from[k] for k in runs], return_inverse=True)[1]
-    run = np.repeat(run_numbers, [len(part) for part in rows])
+    number = {name: k for k, name in enumerate(dict.fromkeys(cut_from[k] for k in runs))}
+    run = np.repeat([number[cut_from[k]] for k in runs], [len(part) for part in rows])
     return ProjectedResiduals(np.concatenate(rows), np.concatenate(columns), np.concatenate(blocks), lost, run)
 
 
