@@ -69,18 +69,18 @@ def odd_runs(
 
         u^2 / V,   u = C_k^T (r - C d),   V = G_i[k, k] - G_i[k, F] H^-1 G_i[F, k],   s = u / V,
 
-    which is chi^2 with one degree of freedom where run i is like the others (score test, Rao 1948). The others
-    are judged again without the run that is found: it moves the common parameters, which makes them look odd too.
+    which is chi^2 with one degree of freedom where run i is like the others (score test, Rao 1948). The others are
+    judged again without the run that is odd: it moves the common parameters, which makes them look odd too.
     `names`: the parameters that may shift and their columns. Of fewer than three runs none is the odd one.
     """
-    found: list[OddRun] = []
+    odd_ones: list[OddRun] = []
     gram, left = gram.copy(), len(runs)
     while left >= TRAIN_RUNS and (odd := _oddest(gram, runs, names, fitted, precision)) is not None:
         run, shift = odd
-        found.append(shift)
+        odd_ones.append(shift)
         gram[run] = 0.0
         left -= 1
-    return tuple(found)
+    return tuple(odd_ones)
 
 
 def _oddest(
@@ -100,14 +100,14 @@ def _oddest(
     step = inverse @ total[rows, 0]
     scores = [[_score(one, rows, inverse, step, k + 1) for k in names.values()] for one in gram]
     falls = np.array([[fall for fall, _, _ in of_run] for of_run in scores])
-    run, best = np.unravel_index(np.argmax(falls), falls.shape)
+    run, best = divmod(int(np.argmax(falls)), len(names))
     fall, shift, sd = scores[run][best]
     p = min(1.0, float(stats.chi2.sf(fall, 1)) * falls.size)
     if not p < LEVEL:
         return None
     parameter = list(names)[best]
     near = [name for name, other in zip(names, falls[run], strict=True) if other > fall - ALIKE]
-    return int(run), OddRun(runs[run], parameter, shift, sd, p, tuple(name for name in near if name != parameter))
+    return run, OddRun(runs[run], parameter, shift, sd, p, tuple(name for name in near if name != parameter))
 
 
 def _pseudoinverse(normal: np.ndarray) -> np.ndarray:
