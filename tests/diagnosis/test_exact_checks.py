@@ -13,14 +13,15 @@ from snakejax.diagnosis.selection.criteria import CRITERIA
 SAMPLES = 10_000
 
 
-def step(change: str, name: str, misfit: float, odd_fall: float = 0.0) -> Any:
-    """A working step that leaves `misfit`, beside which a shift of one run lowers chi^2 by `odd_fall`."""
+def step(change: str, name: str, misfit: float, odd_fall: float = 0.0, alone: bool = False) -> Any:
+    """A working step that leaves `misfit`, beside which a shift of one run lowers chi^2 by `odd_fall`; its last effect
+    is in one run `alone`."""
     solution = SimpleNamespace(misfit=misfit, samples=SAMPLES, loose=())
     odd = (OddRun("two", "tyre.D", odd_fall**0.5, 1.0, 1e-4),) if odd_fall else ()
     return SimpleNamespace(
         record=SimpleNamespace(change=change, name=name),
         candidate_set=SimpleNamespace(criteria=CRITERIA),
-        step=SimpleNamespace(solution=solution, odd=odd),
+        step=SimpleNamespace(solution=solution, odd=odd, alone=alone),
         ranking=(),
     )
 
@@ -29,6 +30,7 @@ def step(change: str, name: str, misfit: float, odd_fall: float = 0.0) -> Any:
 def changes(monkeypatch: pytest.MonkeyPatch):
     """The changes of the steps that are added to some."""
     monkeypatch.setattr(exact_checks, "odd_runs_beside", lambda _, fit: fit.odd)
+    monkeypatch.setattr(exact_checks, "one_run_alone_shows", lambda _, fit, effect: fit.alone)
     monkeypatch.setattr(
         exact_checks,
         "selection_step",
@@ -53,6 +55,11 @@ AFTER = 1.0 - FALL / SAMPLES
 def test_an_effect_that_only_stands_for_an_odd_run_is_dropped(changes) -> None:
     odd = FALL + 1.1 * CRITERIA.distinct_chi2
     assert changes(step("base", "", 1.0, odd), step("added", "com_offset", AFTER)) == ["com_offset"]
+
+
+def test_an_effect_that_one_run_alone_shows_is_dropped(changes) -> None:
+    assert changes(step("base", "", 1.0, 0.5 * FALL), step("added", "slope", AFTER, alone=True)) == ["slope"]
+    assert changes(step("base", "", 1.0), step("added", "slope", AFTER, alone=True)) == []
 
 
 @pytest.mark.parametrize("odd", [0.0, FALL + 0.9 * CRITERIA.distinct_chi2])

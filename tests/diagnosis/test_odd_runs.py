@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from snakejax.core.parameter import Domain
-from snakejax.diagnosis.odd_runs import LEVEL, TRAIN_RUNS, OddRun, odd_runs, run_grams
+from snakejax.diagnosis.odd_runs import LEVEL, TRAIN_RUNS, OddRun, odd_runs, run_grams, run_that_alone_shows
 
 RUNS, SAMPLES, FITTED = ("one", "two", "three", "four", "five"), 400, (0, 1, 2)
 NAMES = {"tyre.D": 0, "tyre.B": 1, "tyre.C": 2, "marker_offset.x": 3, "yaw_bias.b": 4}
@@ -96,3 +96,31 @@ def test_a_parameter_that_no_run_shows_changes_nothing() -> None:
     more = odd_runs(run_grams(r, unseen, run), RUNS, NAMES, (*FITTED, 5, 6))
     assert [odd.run for odd in shown] == [odd.run for odd in more] == ["three"]
     assert more[0].shift == pytest.approx(shown[0].shift, rel=1e-6)
+
+
+def shown_by(seed: int, runs: tuple[int, ...], size: float) -> int | None:
+    """Of an effect of `size` standard errors of a single run in the `runs`, fitted to all: the run that alone shows it,
+    from the fit on."""
+    r, C, run = made_up(seed)
+    fitted = [*FITTED, 3]
+    r[np.isin(run, runs)] += size / np.sqrt(SAMPLES) * C[np.isin(run, runs), 3]
+    step = np.linalg.lstsq(C[:, fitted], r, rcond=None)[0]
+    return run_that_alone_shows(run_grams(r - C[:, fitted] @ step, C, run), fitted, [3], step[-1:])
+
+
+def test_an_effect_of_one_run_is_told_from_one_of_all() -> None:
+    alone = [shown_by(4000 + k, (2,), 20.0) for k in range(50)]
+    assert sum(run == 2 for run in alone) >= 45 and set(alone) <= {2, None}
+    assert [shown_by(5000 + k, (0, 1, 2, 3, 4), 20.0) for k in range(50)] == [None] * 50
+    weak = [shown_by(6000 + k, (0, 1, 2, 3, 4), 3.0) for k in range(200)]
+    assert sum(run is not None for run in weak) <= stats.binom.isf(0.003, 200, LEVEL)
+
+
+def test_an_effect_that_the_others_cannot_show_is_not_of_one_run() -> None:
+    """Where only one run excites an effect, the others do not exclude it."""
+    r, C, run = made_up(1)
+    C[run != 2, 3] *= 0.02
+    fitted = [*FITTED, 3]
+    r += C[:, 3]
+    step = np.linalg.lstsq(C[:, fitted], r, rcond=None)[0]
+    assert run_that_alone_shows(run_grams(r - C[:, fitted] @ step, C, run), fitted, [3], step[-1:]) is None

@@ -1,6 +1,7 @@
 """Checks of a model that leaves only noise: the bands of each run, and runs that differ from the others."""
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from snakejax.estimation.goodness_of_fit import consistent_with_noise
 from snakejax.estimation.problem import Problem
 
 from .explanation import RunBand, run_bands
-from .odd_runs import OddRun, odd_runs, run_grams
+from .odd_runs import OddRun, odd_runs, run_grams, run_that_alone_shows
 from .selection.candidates import CandidateFit, CandidateSet
 from .selection.score_test import projected
 from .selection.screening import window_sensitivities
@@ -29,18 +30,49 @@ def bands_of(fitted: FittedModel) -> tuple[RunBand, ...]:
     return run_bands(fitted.recordings, residuals, [np.broadcast_to(sd, residual.shape) for residual in residuals])
 
 
+class _RunByRun(NamedTuple):
+    """The Gram matrices of each train run at a fit, the columns of all parameters, and those of the fitted ones."""
+
+    gram: np.ndarray
+    columns: dict[str, int]
+    fitted: list[int]
+
+    @staticmethod
+    def of(candidate_set: CandidateSet, step: CandidateFit) -> "_RunByRun | None":
+        """By the sensitivities of whole runs; None where they are not told apart."""
+        solution, names = step.solution, candidate_set.problem.names
+        rest = projected(window_sensitivities(candidate_set, solution.values, solution.start, windows=False))
+        if rest.run is None:
+            return None
+        columns = {name: k for k, name in enumerate(names)}
+        fitted = [columns[name] for name in candidate_set.free(step.effects) if name not in solution.held]
+        return _RunByRun(run_grams(rest.residual, -rest.columns, rest.run), columns, fitted)
+
+
 def odd_runs_beside(candidate_set: CandidateSet, step: CandidateFit) -> tuple[OddRun, ...]:
     """The train runs to which the fit `step` does not apply, by the sensitivities of whole runs."""
     values, problem = step.solution.values, candidate_set.problem
-    rest = projected(window_sensitivities(candidate_set, values, step.solution.start, windows=False))
-    if rest.run is None:
+    linear = _RunByRun.of(candidate_set, step)
+    if linear is None:
         return ()
-    columns = {name: k for k, name in enumerate(problem.names)}
-    fitted = [columns[name] for name in candidate_set.free(step.effects) if name not in step.solution.held]
     runs = [problem.runs[k].name for k in candidate_set.train]
     known = parameters(problem.model)
-    shifts = odd_runs(run_grams(rest.residual, -rest.columns, rest.run), runs, columns, fitted)
+    shifts = odd_runs(linear.gram, runs, linear.columns, linear.fitted)
     return tuple(shift.in_units(known[shift.parameter].domain, float(values[shift.parameter])) for shift in shifts)
+
+
+def one_run_alone_shows(candidate_set: CandidateSet, step: CandidateFit, effect: str) -> bool:
+    """Whether the `effect` of the fit `step` is in one run alone, and the others exclude it."""
+    known, neutral = parameters(candidate_set.problem.model), candidate_set.problem.values()
+    parts = [name for name in candidate_set.candidates.get(effect, ()) if name not in step.solution.held]
+    if not parts or any(known[name].domain.multiplicative for name in parts):
+        return False
+    linear = _RunByRun.of(candidate_set, step)
+    if linear is None:
+        return False
+    value = np.array([step.solution.values[name] - neutral[name] for name in parts])
+    some = [linear.columns[name] for name in parts]
+    return run_that_alone_shows(linear.gram, linear.fitted, some, value) is not None
 
 
 def odd_run_rather_than_effect(
@@ -48,20 +80,23 @@ def odd_run_rather_than_effect(
 ) -> list[WorkingStep]:
     """`steps`, and after them one for each effect that is dropped because one run alone is the better explanation.
 
-    Where a model leaves only noise before an effect is added, the effect is an answer to little, and a parameter with a
-    value of its own in a single run may be a better one: it is where it lowers chi^2 by `distinct_chi2` more than the
-    effect does in all runs. The effect added last is judged first.
+    Where a model leaves only noise before an effect is added, the effect is an answer to little, and a single run may
+    be a better one: where a parameter with a value of its own in that run lowers chi^2 by `distinct_chi2` more than the
+    effect does in all runs, or where that run alone shows the effect. The effect added last is judged first.
     """
     judged = list(steps)
     for before, after in zip(reversed(steps[:-1]), reversed(steps[1:]), strict=True):
-        if after.record.change != "added" or not consistent_with_noise(before.step.solution):
+        name, change = after.record.name, after.record.change
+        if change != "added" or not consistent_with_noise(before.step.solution):
             break
         fall = before.step.solution.samples * (before.step.solution.misfit - after.step.solution.misfit)
         odd = odd_runs_beside(before.candidate_set, before.step)
-        if not max((one.fall for one in odd), default=0.0) > fall + before.candidate_set.criteria.distinct_chi2:
+        if not odd:
             break
-        name, ranking = after.record.name, before.ranking
-        judged.append(selection_step(before.candidate_set, "dropped", name, before.step, ranking))
+        better = max(one.fall for one in odd) > fall + before.candidate_set.criteria.distinct_chi2
+        if not (better or one_run_alone_shows(after.candidate_set, after.step, name)):
+            break
+        judged.append(selection_step(before.candidate_set, "dropped", name, before.step, before.ranking))
         show(judged[-1].record)
     return judged
 

@@ -83,6 +83,36 @@ def odd_runs(
     return tuple(odd_ones)
 
 
+def run_that_alone_shows(
+    gram: Float[np.ndarray, "R P1 P1"],
+    fitted: Sequence[int],
+    some: Sequence[int],
+    value: Float[np.ndarray, " B"],
+) -> int | None:
+    """The number of the run without which the parameters `some` (B,), at `value` from neutral, are not there.
+
+    With theta_i and its covariance V_i from all runs but run i, in the linear model of `gram` at the fit of the
+    parameters `fitted`: the others exclude the value,
+
+        (theta_i - value)^T V_i^-1 (theta_i - value) > chi^2 of B degrees of freedom at `LEVEL` / R,
+
+    and not that it is neutral, theta_i^T V_i^-1 theta_i below the same bound. None where there is no such run.
+    """
+    if len(gram) < TRAIN_RUNS:
+        return None
+    rows, total = np.asarray(fitted, int) + 1, gram.sum(axis=0)
+    at = [list(fitted).index(k) for k in some]
+    bound = float(stats.chi2.isf(LEVEL / len(gram), len(at)))
+    for run, one in enumerate(gram):
+        others = total - one
+        covariance = _pseudoinverse(others[np.ix_(rows, rows)])
+        moved = (covariance @ others[rows, 0])[at]
+        information = _pseudoinverse(covariance[np.ix_(at, at)])
+        if moved @ information @ moved > bound >= (value + moved) @ information @ (value + moved):
+            return run
+    return None
+
+
 def _oddest(
     gram: Float[np.ndarray, "R P1 P1"],
     runs: Sequence[str],
