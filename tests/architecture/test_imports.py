@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -47,7 +48,6 @@ def module_of(file: Path) -> str:
 
 
 MODULES = {module_of(file) for file in FILES}
-each_file = pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(SOURCE)))
 
 
 def run_time(tree: ast.AST) -> Iterator[ast.AST]:
@@ -84,6 +84,7 @@ def inside(names: set[str]) -> set[str]:
     return found
 
 
+@cache
 def imports_of(file: Path) -> set[str]:
     """The dotted names that `file` imports."""
     return imported(file.read_text(encoding="utf-8"), ("snakejax", *file.relative_to(SOURCE).parts[:-1]))
@@ -94,15 +95,18 @@ def packages_of(modules: set[str]) -> set[str]:
     return {module.split(".")[0] for module in modules}
 
 
-@each_file
-def test_imports_follow_the_arrows(file: Path) -> None:
-    module = module_of(file)
-    package = module.split(".")[0]
-    if package in ("", "__main__", TOP):
-        return
-    assert package in ALLOWED, f"`{package}` is no package of snakejax: move {file.name} into one of them."
-    wrong = packages_of(inside(imports_of(file))) - ALLOWED[package] - {package}
-    assert not wrong, f"{module} imports {', '.join(sorted(wrong))}, which `{package}` may not."
+def test_every_module_is_in_a_package() -> None:
+    assert {module.split(".")[0] for module in MODULES} == {"", "__main__", TOP, *ALLOWED}
+
+
+def test_imports_follow_the_arrows() -> None:
+    wrong = {}
+    for file in FILES:
+        module = module_of(file)
+        package = module.split(".")[0]
+        if package in ALLOWED:
+            wrong[module] = packages_of(inside(imports_of(file))) - ALLOWED[package] - {package}
+    assert {module: names for module, names in wrong.items() if names} == {}, "packages that a module may not import"
 
 
 @pytest.mark.slow
@@ -115,18 +119,15 @@ def test_packages_are_at_most_two_levels_deep() -> None:
     assert max(len(file.relative_to(SOURCE).parts) for file in FILES) <= 3
 
 
-@each_file
-def test_a_module_carries_no_underscore(file: Path) -> None:
-    assert not file.name.startswith("_") or file.name in ("__init__.py", "__main__.py")
+def test_a_module_carries_no_underscore() -> None:
+    named = [str(file) for file in FILES if file.name.startswith("_")]
+    assert [name for name in named if not name.endswith(("__init__.py", "__main__.py"))] == []
 
 
-@each_file
 @pytest.mark.parametrize("library", ONLY_IN)
-def test_a_library_is_known_to_few(file: Path, library: str) -> None:
-    module = module_of(file)
-    if not {module, module.split(".")[0]} & ONLY_IN[library]:
-        roots = {name.split(".")[0] for name in imports_of(file)}
-        assert library not in roots, f"Only {', '.join(sorted(ONLY_IN[library]))} may import {library}."
+def test_a_library_is_known_to_few(library: str) -> None:
+    others = [file for file in FILES if not {module_of(file), module_of(file).split(".")[0]} & ONLY_IN[library]]
+    assert [module_of(file) for file in others if library in {name.split(".")[0] for name in imports_of(file)}] == []
 
 
 @pytest.mark.parametrize(

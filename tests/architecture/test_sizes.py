@@ -3,8 +3,6 @@
 import ast
 from pathlib import Path
 
-import pytest
-
 SOURCE = Path(__file__).resolve().parents[2] / "src" / "snakejax"
 MOST_LINES, MOST_ARGUMENTS = 60, 8
 
@@ -28,10 +26,10 @@ def arguments_of(function: Function) -> int:
     return sum(argument.arg not in ("self", "cls") for argument in every)
 
 
-@pytest.mark.parametrize("file", sorted(SOURCE.rglob("*.py")), ids=lambda file: str(file.relative_to(SOURCE)))
-def test_functions_are_small(file: Path) -> None:
+def test_functions_are_small() -> None:
     large = {
-        f"{function.name} (line {function.lineno})": (lines_of(function), arguments_of(function))
+        f"{file.relative_to(SOURCE)}:{function.lineno} {function.name}": (lines_of(function), arguments_of(function))
+        for file in sorted(SOURCE.rglob("*.py"))
         for function in functions_of(file.read_text(encoding="utf-8"))
         if lines_of(function) > MOST_LINES or arguments_of(function) > MOST_ARGUMENTS
     }

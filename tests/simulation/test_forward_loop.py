@@ -86,12 +86,3 @@ def test_a_run_that_ends_early_is_infinite_or_an_error(derivative) -> None:
     times = TIMES[:2] * 100
     cut = simulate(board(), GAIT, times, accuracy=few, throw=False)
     assert not bool(cut.finished) and np.isinf(np.asarray(cut.pose)).all()
-
-
-@pytest.mark.slow
-def test_both_derivatives_are_the_same() -> None:
-    def end(D, derivative):
-        return simulate(board(D), GAIT, TIMES[:50], accuracy=Accuracy(derivative=derivative)).pose[-1, 2]
-
-    forward = jax.jacfwd(lambda D: end(D, "forward"))(3.0)
-    assert float(jax.grad(lambda D: end(D, "reverse"))(3.0)) == pytest.approx(float(forward), rel=1e-8)
