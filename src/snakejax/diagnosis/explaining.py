@@ -31,7 +31,7 @@ from .inexact.confidence import AMBIGUOUS, STAND_IN, SURE
 from .inexact.explaining import shares_of
 from .latent_force.missing_force import LatentForce, choose_structure
 from .law.adding import best_laws, predicting_steps
-from .law.known_effects import known_effects_beside
+from .law.known_effects import known_effects_beside, law_beside_effects
 from .selection.acceptance import accept_structure, heldout_consistent
 from .selection.candidates import CandidateFit, CandidateSet
 from .selection.ranking import rank, significant
@@ -227,9 +227,9 @@ def _conclude(
     missing = None
     if len(last.candidate_set.train) > 1:
         missing = _latent_force(diagnosis, last, progress)
-        with_laws = _with_laws(case, noise, diagnosis, last, missing, progress)
+        with_laws, force = _with_laws(case, noise, diagnosis, last, missing, progress)
         if with_laws:
-            return _conclude_with_law(case, noise, diagnosis, with_laws, missing)
+            return _conclude_with_law(case, noise, diagnosis, with_laws, force)
         working_steps = predicting_steps(working_steps, progress)
         last, steps = working_steps[-1], tuple(step.record for step in working_steps)
         final = steps[-1]
@@ -244,20 +244,25 @@ def _conclude(
 
 def _with_laws(
     case: Case, noise: Noise, diagnosis: BaseDiagnosis, last: WorkingStep, missing: LatentForce, progress: Progress
-) -> list[WorkingStep]:
+) -> tuple[list[WorkingStep], LatentForce]:
     """The steps to the model with the laws of the missing force, and with known effects beside them where they leave
-    more than noise; none where no law predicts runs left out."""
+    more than noise; none where no law predicts runs left out. And the force in which the last law was found."""
     like, steps = diagnosis.base, []
     if missing.switched and diagnosis.switched is not None:
         like = selection_step(diagnosis.switched[0], "added", LATERAL_SLIP_SWITCH, diagnosis.switched[1])
         steps.append(like)
     laws = best_laws(case, noise, like, last, missing, progress)
     if not laws:
-        return []
+        return [], missing
+    first = len(steps)
     steps += [selection_step(added.candidate_set, "added", added.names[-1], added.fit) for added in laws]
     if not consistent_with_noise(laws[-1].fit.solution):
-        steps += known_effects_beside(case, noise, like.candidate_set, laws[-1], progress)
-    return steps
+        beside = known_effects_beside(case, noise, like.candidate_set, laws[-1], progress)
+        steps += beside
+        again = law_beside_effects(case, noise, like, beside[-1], laws[-1], progress) if beside else None
+        if again is not None:
+            return [*steps[:first], *again.steps], again.force
+    return steps, missing
 
 
 def _conclude_with_law(

@@ -1,16 +1,21 @@
-"""Known effects beside a law: where a law leaves more than noise, the library is searched again beside it."""
+"""Known effects beside a law: where a law leaves more than noise, the library is searched again beside it, and then the
+law beside what was found."""
+
+import dataclasses
+from typing import NamedTuple
 
 from snakejax.core.progress import Progress, no_progress
 from snakejax.estimation.goodness_of_fit import consistent_with_noise
 from snakejax.estimation.initialisation import continue_to_convergence
 from snakejax.recording.run import Case, Noise
 
+from ..latent_force.missing_force import LatentForce, estimate_latent_force
 from ..selection.candidates import CandidateFit, CandidateSet
 from ..selection.ranking import rank
 from ..selection.refit import refit
 from ..selection.stepwise import stepwise_selection
 from ..selection.working_step import WorkingStep, selection_step
-from .adding import AddedLaws, candidate_set_with, expected_misfits, predicts_better
+from .adding import AddedLaws, best_laws, candidate_set_with, expected_misfits, fitted_laws, predicts_better
 
 
 def known_effects_beside(
@@ -37,3 +42,41 @@ def _converged(last: WorkingStep) -> WorkingStep:
     candidate_set, (effects, solution) = last.candidate_set, last.step
     end = CandidateFit(effects, continue_to_convergence(candidate_set.problem, solution, candidate_set.train))
     return selection_step(candidate_set, last.record.change, last.record.name, end, last.ranking)
+
+
+class LawBesideEffects(NamedTuple):
+    """The `steps` to a law and to the known effects beside it, and the `force` in which the law was found."""
+
+    steps: list[WorkingStep]
+    force: LatentForce
+
+
+def law_beside_effects(
+    case: Case, noise: Noise, like: WorkingStep, last: WorkingStep, laws: AddedLaws, progress: Progress
+) -> LawBesideEffects | None:
+    """The law that is found once the known effects of the `last` step are in the model of `like`.
+
+    Without them the force also held what they do, so that `laws` may have the wrong form. None where the new law does
+    not predict train runs left out better than these.
+    """
+    effects = tuple(name for name in last.step.effects if name not in (*laws.names, *like.step.effects))
+    if not effects:
+        return None
+    known = like.candidate_set.problem.values()
+    near = {name: value for name, value in last.step.solution.values.items() if name in known}
+    solution = like.step.solution._replace(values=known | near, misfit=last.step.solution.misfit)
+    start = CandidateFit((*like.step.effects, *effects), solution)
+    force = estimate_latent_force(like.candidate_set, start, progress).with_laws()
+    force = dataclasses.replace(force, beside=effects)
+    better = best_laws(case, noise, like, like, force, progress)
+    if len(better) != 1:
+        return None
+    (added,) = better
+    if not predicts_better(added.left_out, expected_misfits(last.candidate_set, last.step)):
+        return None
+    steps = []
+    for count, name in enumerate((*added.names, *effects[:-1])):
+        some = (*like.step.effects, *effects[:count])
+        candidate_set, fit = fitted_laws(case, noise, like.candidate_set, some, force, added.laws)
+        steps.append(selection_step(candidate_set, "added", name, fit))
+    return LawBesideEffects([*steps, selection_step(added.candidate_set, "added", effects[-1], added.fit)], force)
