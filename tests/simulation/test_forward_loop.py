@@ -16,7 +16,6 @@ from snakejax.simulation.integrate import Accuracy, Trajectory, simulate
 from snakejax.vehicles.car import DART, Car
 
 TIMES = jnp.arange(150) / 50
-TYRE = Pacejka(B=8.0, C=1.4, D=3.0, E=0.0)
 GAIT = Gait(Sines.of([[0.5, 3.0, 0.0]]), Sines.of([[1.2, 3.0, 0.4]]))
 
 
@@ -81,7 +80,7 @@ def test_runs_side_by_side_are_as_each_alone() -> None:
 
 
 @pytest.mark.parametrize("derivative", ["forward", "reverse"])
-def test_a_run_that_ends_early_is_infinite_or_an_error(derivative) -> None:
+def test_a_run_that_does_not_reach_its_end_is_infinite(derivative) -> None:
     few = Accuracy(max_steps=20, derivative=derivative)
     times = TIMES[:2] * 100
     cut = simulate(board(), GAIT, times, accuracy=few, throw=False)

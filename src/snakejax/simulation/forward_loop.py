@@ -82,8 +82,7 @@ def integrate_forward(
 ) -> tuple[list[Float[Array, " n"]], Bool[Array, ""]]:
     """The components of the state (n,) at `times` [s] from `state` at `begin`, and whether the end was reached.
 
-    A component that was not reached is infinite. `jax.jvp` applies, and not `jax.vjp`; under `jax.vmap` over runs each
-    step copies all samples.
+    A component that was not reached is infinite. `jax.jvp` and `jax.vmap` apply, and not `jax.vjp`.
     """
     begin, state = jnp.asarray(begin, jnp.float64), [jnp.asarray(y, jnp.float64) for y in state]
     last, count = jnp.maximum(times[-1], begin + 1e-9), times.shape[0]
