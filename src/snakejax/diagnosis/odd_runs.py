@@ -9,9 +9,18 @@ from scipy import stats
 
 from snakejax.core.parameter import Domain
 
-LEVEL = 0.01
-"""A run is odd where so large a statistic of any run and parameter has less than this probability by chance (Bonferroni
-over the runs and the parameters)."""
+LEVEL = 0.05
+"""A run is odd where so large a statistic of any run and parameter has less than this probability by chance: of twenty
+cases without an odd run, one names a run."""
+EXCLUDED = 0.01
+"""The other runs exclude the value of an effect where they contradict it at this level, divided by the number of runs.
+"""
+DRAWS = 4000
+"""Made-up cases by which the probability of the largest statistic is estimated: at `LEVEL` within 0.0035."""
+NUMBERS = 1_000_000
+"""So many numbers of made-up cases are held at a time: 8 MB."""
+OWN = 1e-9
+"""A run does not show a parameter where less than this share of V is left beside the common parameters."""
 TRAIN_RUNS = 3
 """Of two runs that differ nobody can say which is the odd one."""
 UNSHOWN = 1e-10
@@ -25,7 +34,7 @@ class OddRun(NamedTuple):
     """A run to which the parameters of all runs do not apply.
 
     `parameter` would explain the run with a value of its own, `shift` away from that of all runs, with its standard
-    error `sd`; so would those in `alike`, nearly as well. `p_value`: corrected for the number of runs and parameters.
+    error `sd`; so would those in `alike`, nearly as well. `p_value`: of so large a statistic in any run and parameter.
     """
 
     run: str
@@ -69,7 +78,9 @@ def odd_runs(
 
         u^2 / V,   u = C_k^T (r - C d),   V = G_i[k, k] - G_i[k, F] H^-1 G_i[F, k],   s = u / V,
 
-    which is chi^2 with one degree of freedom where run i is like the others (score test, Rao 1948). The others are
+    which is chi^2 with one degree of freedom where run i is like the others (score test, Rao 1948). The largest of all
+    runs and parameters is compared with the largest of made-up cases without an odd run: many parameters act alike, so
+    that it is smaller than that of as many independent tests. The others are
     judged again without the run that is odd: it moves the common parameters, which makes them look odd too.
     `names`: the parameters that may shift and their columns. Of fewer than three runs none is the odd one.
     """
@@ -94,7 +105,7 @@ def run_that_alone_shows(
     With theta_i and its covariance V_i from all runs but run i, in the linear model of `gram` at the fit of the
     parameters `fitted`: the others exclude the value,
 
-        (theta_i - value)^T V_i^-1 (theta_i - value) > chi^2 of B degrees of freedom at `LEVEL` / R,
+        (theta_i - value)^T V_i^-1 (theta_i - value) > chi^2 of B degrees of freedom at `EXCLUDED` / R,
 
     and not that it is neutral, theta_i^T V_i^-1 theta_i below the same bound. None where there is no such run.
     """
@@ -102,7 +113,7 @@ def run_that_alone_shows(
         return None
     rows, total = np.asarray(fitted, int) + 1, gram.sum(axis=0)
     at = [list(fitted).index(k) for k in some]
-    bound = float(stats.chi2.isf(LEVEL / len(gram), len(at)))
+    bound = float(stats.chi2.isf(EXCLUDED / len(gram), len(at)))
     for run, one in enumerate(gram):
         others = total - one
         covariance = _pseudoinverse(others[np.ix_(rows, rows)])
@@ -121,23 +132,82 @@ def _oddest(
     precision: Float[np.ndarray, " P"] | None,
 ) -> tuple[int, OddRun] | None:
     """The run and the parameter whose shift lowers chi^2 most, and the number of the run; None where none is odd."""
-    rows = np.asarray(fitted, int) + 1
-    total = gram.sum(axis=0)
-    normal = total[np.ix_(rows, rows)]
-    if precision is not None:
-        normal = normal + np.diag(precision[list(fitted)])
-    inverse = _pseudoinverse(normal)
-    step = inverse @ total[rows, 0]
-    scores = [[_score(one, rows, inverse, step, k + 1) for k in names.values()] for one in gram]
-    falls = np.array([[fall for fall, _, _ in of_run] for of_run in scores])
+    test = _ShiftTest.of(gram, list(names.values()), fitted, precision)
+    falls = test.score**2 * test.variance
     run, best = divmod(int(np.argmax(falls)), len(names))
-    fall, shift, sd = scores[run][best]
-    p = min(1.0, float(stats.chi2.sf(fall, 1)) * falls.size)
+    fall, variance = float(falls[run, best]), float(test.variance[run, best])
+    p = test.probability(fall)
     if not p < LEVEL:
         return None
     parameter = list(names)[best]
     near = [name for name, other in zip(names, falls[run], strict=True) if other > fall - ALIKE]
-    return run, OddRun(runs[run], parameter, shift, sd, p, tuple(name for name in near if name != parameter))
+    shift = float(test.score[run, best]) * variance
+    alike = tuple(name for name in near if name != parameter)
+    return run, OddRun(runs[run], parameter, shift, variance**0.5, p, alike)
+
+
+class _ShiftTest(NamedTuple):
+    """The score test of a shift of each of K parameters in each of R runs beside F fitted parameters.
+
+    `gram`: G_i of the P columns; `cross`: C_k^T C_F of each run; `inverse`: of H; `prior`: square roots of the
+    precisions of the priors; `score`: u; `variance`: 1 / V, zero where the run does not show the parameter.
+    """
+
+    gram: Float[np.ndarray, "R P P"]
+    columns: np.ndarray
+    fitted: np.ndarray
+    cross: Float[np.ndarray, "R K F"]
+    inverse: Float[np.ndarray, "F F"]
+    prior: Float[np.ndarray, " F"]
+    score: Float[np.ndarray, "R K"]
+    variance: Float[np.ndarray, "R K"]
+
+    @classmethod
+    def of(
+        cls,
+        gram: Float[np.ndarray, "R P1 P1"],
+        columns: Sequence[int],
+        fitted: Sequence[int],
+        precision: Float[np.ndarray, " P"] | None,
+    ) -> "_ShiftTest":
+        some, common = np.asarray(columns, int), np.asarray(fitted, int)
+        scores, grams = gram[:, 1:, 0], gram[:, 1:, 1:]
+        prior = np.zeros(len(common)) if precision is None else np.asarray(precision)[common]
+        inverse = _pseudoinverse(grams.sum(axis=0)[np.ix_(common, common)] + np.diag(prior))
+        cross = grams[:, some[:, None], common]
+        u = scores[:, some] - cross @ (inverse @ scores.sum(axis=0)[common])
+        own = grams[:, some, some]
+        V = own - np.einsum("rkf,fg,rkg->rk", cross, inverse, cross)
+        variance = np.divide(1.0, V, out=np.zeros_like(V), where=OWN * own < V)
+        return cls(grams, some, common, cross, inverse, np.sqrt(prior), u, variance)
+
+    def probability(self, fall: float) -> float:
+        """Probability of a statistic as large as `fall` in any run and parameter where no run is odd.
+
+        The share of `DRAWS` made-up cases, with C^T r of run i drawn from N(0, G_i) and that of the priors from their
+        precision; where it is too small for so few, the bound of Bonferroni.
+        """
+        bound = min(1.0, float(stats.chi2.sf(fall, 1)) * self.score.size)
+        if bound < 1.0 / DRAWS:
+            return bound
+        random, roots, above = np.random.default_rng(0), _roots(self.gram), 0
+        runs, width, _ = self.gram.shape
+        batch = max(1, NUMBERS // (runs * width))
+        for first in range(0, DRAWS, batch):
+            count = min(batch, DRAWS - first)
+            scores = roots @ random.normal(size=(runs, width, count))
+            priors = self.prior[:, None] * random.normal(size=(len(self.fitted), count))
+            step = self.inverse @ (scores.sum(axis=0)[self.fitted] + priors)
+            u = scores[:, self.columns] - self.cross @ step
+            above += int(np.sum(np.max(u**2 * self.variance[:, :, None], axis=(0, 1)) >= fall))
+        return min(bound, (1 + above) / (1 + DRAWS))
+
+
+def _roots(gram: Float[np.ndarray, "R P P"]) -> Float[np.ndarray, "R P P"]:
+    """A matrix A_i with A_i A_i^T = G_i of each semidefinite G_i."""
+    size = np.sqrt(np.maximum(np.einsum("rpp->rp", gram), 1e-300))
+    values, vectors = np.linalg.eigh(gram / (size[:, :, None] * size[:, None, :]))
+    return size[:, :, None] * vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
 
 
 def _pseudoinverse(normal: np.ndarray) -> np.ndarray:
@@ -145,13 +215,3 @@ def _pseudoinverse(normal: np.ndarray) -> np.ndarray:
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     scaled = normal / np.outer(size, size)
     return np.linalg.pinv(scaled, rcond=UNSHOWN, hermitian=True) / np.outer(size, size)
-
-
-def _score(gram: np.ndarray, rows: np.ndarray, inverse: np.ndarray, step: np.ndarray, k: int) -> tuple[float, ...]:
-    """The fall of chi^2, the shift and its standard deviation; zeros for a parameter that the run does not show."""
-    cross = gram[k, rows]
-    left = gram[k, 0] - cross @ step
-    own = gram[k, k] - cross @ inverse @ cross
-    if not own > 1e-9 * gram[k, k]:
-        return 0.0, 0.0, np.inf
-    return float(left**2 / own), float(left / own), float(own**-0.5)
