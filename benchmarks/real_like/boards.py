@@ -17,8 +17,8 @@ Off means: the mass by up to 4 %, the half length 0.4 %, the inertia 6 %, that o
 strong effect has 0.8 to 1.25 of its usual size and moves the paths by at least 12 standard deviations of the noise, a
 weak one 5 to 12 % of it and 0.3 to 9 of these, the strange one at most 9: what the boards l to o have (strong ones 27
 to 280). The true model must tell the strong one by ten standard errors, with all that is hidden free beside it: weak
-ones that do the same are drawn again. The odd run is off by 5 standard errors of what that run alone tells of its peak,
-bump or marker, every other pair by 25: then the estimate of all five runs is off by some 11.
+ones that do the same are drawn again. The odd run is off by 5 standard errors in its peak, bump or marker: of the shift
+of this run alone beside a tyre that is fitted to all runs.
 """
 
 import dataclasses
@@ -79,7 +79,7 @@ def draw(kind: str, group: str, number: int) -> Hidden:
         # What a size is and what is clear is asked of 12 s runs with the usual noise: a variant is the same board.
         board = _furnished(board, rng, strong, real, variant)
     if kind.startswith("odd"):
-        board = with_odd_run(board, rng, kind.removeprefix("odd_"), (5.0, 5.0, 25.0, 25.0)[number % 4])
+        board = with_odd_run(board, rng, kind.removeprefix("odd_"), 5.0)
     return _varied(board, variant) if variant else board
 
 
