@@ -21,7 +21,8 @@ def confidence_sentences(explanation: Explanation, effect: str) -> Iterator[str]
     twins = twins or dict.fromkeys(indistinguishable(explanation.steps, effect))
     others = listed(tuple(twins), "or") if twins else "another effect"
     sure = SURE_OF_WINDOWS if explanation.of_windows else SURE_WHERE_EXACT if explanation.floor is None else ""
-    yield (sure if word == "sure" else "") or CONFIDENCE[word].format(others=others)
+    unknown = percent(explanation.base.criteria.largest_random_force)
+    yield (sure if word == "sure" else "") or CONFIDENCE[word].format(others=others, unknown=unknown)
     share = explanation.share.get(effect)
     if share is not None:
         runs = "train runs" if explanation.final.heldout is None else "held-out runs"
@@ -69,7 +70,7 @@ def force_left(misfit: float) -> str:
 
 
 CONFIDENCE = {
-    "sure": "Sure: it would be significant even if 5% of the forces had another cause.",
+    "sure": "Sure: it would be significant even if {unknown} of the forces had another cause.",
     "likely": "Likely: it is significant, and omitted runs are predicted better with it.",
     "stand_in": "Stand-in: it lowers the error, but another cause is possible, such as a wrong constant.",
     "ambiguous": "Ambiguous: {others} would explain the runs nearly as well.",
