@@ -6,6 +6,7 @@ from typing import Any, NamedTuple, TypedDict, Unpack
 
 import numpy as np
 
+from snakejax.core.parallel import ContextThreads
 from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
 from snakejax.core.tabular import Tabular
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
@@ -95,16 +96,20 @@ def diagnose_base(
     with_, progress = question.get("with_", ()), question.get("progress", no_progress)
     options = structures(case, "", None, start_of(case, question))[: 2 if question.get("switch", True) else 1]
     how = BaseFit(frozenset(question.get("held", ())), question.get("threshold", np.inf))
-    candidate_set = CandidateSet.of(options[0], case, noise, library, criteria=criteria, how=how)
-    step = CandidateFit(tuple(with_), base_fit(candidate_set, with_, progress))
-    ranking = tuple(rank(candidate_set, step, progress=progress))
-    switched = None
-    if len(options) > 1:
-        progress(ProgressEvent(Phase.REFITTING_OTHER_STRUCTURE, f"refitting with {LATERAL_SLIP_SWITCH}"))
-        other = CandidateSet.of(options[1], case, noise, library, switched=True, criteria=criteria, how=how)
-        other_step = CandidateFit(step.effects, base_fit(other, with_, progress))
-        ranking = insert_by_refit(
-            ranking, RankedCandidate(LATERAL_SLIP_SWITCH, None, None, other_step.solution, (), None)
-        )
-        switched = (other, other_step)
+
+    def fitted(model: Model, switched: bool, progress: Progress) -> tuple[CandidateSet, CandidateFit]:
+        candidate_set = CandidateSet.of(model, case, noise, library, switched=switched, criteria=criteria, how=how)
+        return candidate_set, CandidateFit(tuple(with_), base_fit(candidate_set, with_, progress))
+
+    # The other structure needs nothing of the first: its programs are compiled on another core.
+    with ContextThreads(1) as beside:
+        other = [beside.submit(fitted, model, True, no_progress) for model in options[1:]]
+        candidate_set, step = fitted(options[0], False, progress)
+        ranking = tuple(rank(candidate_set, step, progress=progress))
+        if other:
+            progress(ProgressEvent(Phase.REFITTING_OTHER_STRUCTURE, f"refitting with {LATERAL_SLIP_SWITCH}"))
+        switched = other[0].result() if other else None
+    if switched is not None:
+        solution = switched[1].solution
+        ranking = insert_by_refit(ranking, RankedCandidate(LATERAL_SLIP_SWITCH, None, None, solution, (), None))
     return BaseDiagnosis(selection_step(candidate_set, "base", "", step, ranking), switched)
