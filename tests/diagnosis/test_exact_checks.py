@@ -72,8 +72,15 @@ def test_an_effect_without_which_more_than_noise_is_left_stays(changes) -> None:
     assert changes(step("base", "", 3.0, 1e6), step("added", "com_offset", 1.0)) == []
 
 
-def test_the_last_effect_is_judged_first(changes) -> None:
-    odd = FALL + 2 * CRITERIA.distinct_chi2
-    steps = (step("base", "", 1.0, 3 * odd), step("added", "a", AFTER, odd), step("added", "b", AFTER - FALL / SAMPLES))
-    assert changes(*steps) == ["b", "a"]
-    assert changes(step("base", "", 1.0, 3 * odd), step("added", "a", AFTER), step("added", "b", AFTER)) == []
+def test_what_was_added_after_an_effect_that_stands_for_an_odd_run_is_dropped_too(changes) -> None:
+    """Beside the first effect the run may not look odd any more."""
+    odd, second = FALL + 2 * CRITERIA.distinct_chi2, AFTER - FALL / SAMPLES
+    for beside in (0.0, odd):
+        steps = (step("base", "", 1.0, odd), step("added", "a", AFTER, beside), step("added", "b", second))
+        assert changes(*steps) == ["b", "a"]
+    assert changes(step("base", "", 3.0, odd), step("added", "a", AFTER, odd), step("added", "b", second)) == ["b"]
+
+
+def test_steps_that_go_back_already_are_left(changes) -> None:
+    steps = (step("base", "", 1.0, 1e3), step("added", "a", AFTER), step("removed", "a", 1.0))
+    assert changes(*steps) == []

@@ -1,5 +1,6 @@
 """Checks of a model that leaves only noise: the bands of each run, and runs that differ from the others."""
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
@@ -82,20 +83,34 @@ def odd_run_rather_than_effect(
 
     Where a model leaves only noise before an effect is added, the effect is an answer to little, and a single run may
     be a better one: where a parameter with a value of its own in that run lowers chi^2 by `distinct_chi2` more than the
-    effect does in all runs, or where that run alone shows the effect. The effect added last is judged first.
+    effect does in all runs, or where that run alone shows the effect. The effects added after it are dropped too: they
+    were chosen beside an effect that stood for the run.
     """
+    for number, (before, after) in enumerate(itertools.pairwise(steps), 1):
+        added = all(step.record.change == "added" for step in steps[number:])
+        if added and consistent_with_noise(before.step.solution) and _one_run_is_better(before, after):
+            return _without_last(steps, number, show)
+    return list(steps)
+
+
+def _one_run_is_better(before: WorkingStep, after: WorkingStep) -> bool:
+    """Whether one run alone explains better what the effect added in the step `after` explains."""
+    candidate_set, solution = before.candidate_set, before.step.solution
+    odd = odd_runs_beside(candidate_set, before.step)
+    if not odd:
+        return False
+    fall = solution.samples * (solution.misfit - after.step.solution.misfit)
+    better = max(one.fall for one in odd) > fall + candidate_set.criteria.distinct_chi2
+    return better or one_run_alone_shows(after.candidate_set, after.step, after.record.name)
+
+
+def _without_last(
+    steps: Sequence[WorkingStep], number: int, show: Callable[[SelectionStep], None]
+) -> list[WorkingStep]:
+    """`steps`, and the effects added by those from `number` on dropped one by one, the last first."""
     judged = list(steps)
-    for before, after in zip(reversed(steps[:-1]), reversed(steps[1:]), strict=True):
-        name, change = after.record.name, after.record.change
-        if change != "added" or not consistent_with_noise(before.step.solution):
-            break
-        fall = before.step.solution.samples * (before.step.solution.misfit - after.step.solution.misfit)
-        odd = odd_runs_beside(before.candidate_set, before.step)
-        if not odd:
-            break
-        better = max(one.fall for one in odd) > fall + before.candidate_set.criteria.distinct_chi2
-        if not (better or one_run_alone_shows(after.candidate_set, after.step, name)):
-            break
+    for before, after in zip(reversed(steps[number - 1 : -1]), reversed(steps[number:]), strict=True):
+        name = after.record.name
         judged.append(selection_step(before.candidate_set, "dropped", name, before.step, before.ranking))
         show(judged[-1].record)
     return judged
