@@ -83,6 +83,10 @@ CASES = {
         law_of(("grip", "-0.35 * tanh((rotor_rate / 4) ** 2)")),
         ("grip = 1 - a * tanh((rotor_rate / s) ** 2)", {"a": (0.35, "-"), "s": (4.0, "rad/s")}),
     ),
+    "grip that falls with the speed of the rotor": (
+        law_of(("grip", "-0.05 * abs(rotor_rate)")),
+        ("grip = 1 - a * abs(rotor_rate)", {"a": (0.05, "s/rad")}),
+    ),
     "dead spot": (
         law_of(("N", "-0.03 * rotor_acceleration * exp(-((rotor_angle - 0.5) / 0.4) ** 2)")),
         (

@@ -134,6 +134,7 @@ def _functions(variable: str, interval: Range) -> Iterator[_Function]:
     yield _Function("linear", ((v, 1),))
     yield _Function("square", ((f"{v} ** 2", 2),))
     if interval.low < 0 < interval.high:
+        yield _Function("absolute value", ((f"abs({v})", 1),))
         yield _Function("signed square", ((f"{v} * abs({v})", 2),))
     yield _Function("affine", (("", 0), (v, 1)))
     scales = tuple(interval.largest * part for part in (0.1, 0.25, 0.5, 1.0))
