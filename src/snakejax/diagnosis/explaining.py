@@ -11,7 +11,7 @@ from snakejax.core.progress import Progress, no_progress
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.dynamics.ports import Effect
 from snakejax.estimation.fit_workspace import fit_workspace
-from snakejax.estimation.goodness_of_fit import consistent_with_noise
+from snakejax.estimation.goodness_of_fit import consistent_with_noise, noise_band
 from snakejax.estimation.joint_logs.clocks import STILL, free_clocks
 from snakejax.estimation.joint_logs.fitting import (
     with_aligned_logs,
@@ -30,7 +30,7 @@ from .explanation import Explanation
 from .inexact.confidence import AMBIGUOUS, STAND_IN, SURE
 from .inexact.explaining import shares_of
 from .latent_force.missing_force import LatentForce, choose_structure
-from .law.adding import best_laws, predicting_steps
+from .law.adding import best_laws, exact_law, predicting_steps
 from .law.known_effects import known_effects_beside, law_beside_effects
 from .selection.acceptance import accept_structure, heldout_consistent
 from .selection.candidates import CandidateFit, CandidateSet
@@ -83,6 +83,9 @@ def explain(
     if not _one_effect_explains(diagnosis, case):
         explanation = with_all_effects_at_once(case, noise, diagnosis, progress)
         if explanation is not None:
+            train = explanation.final.train
+            if train.misfit > noise_band(train.samples, 0)[1]:
+                explanation = _by_exact_law(case, noise, diagnosis, progress) or explanation
             for step in explanation.steps if logged else explanation.steps[1:]:
                 show(step)
             return explanation
@@ -247,10 +250,8 @@ def _with_laws(
 ) -> tuple[list[WorkingStep], LatentForce]:
     """The steps to the model with the laws of the missing force, and with known effects beside them where they leave
     more than noise; none where no law predicts runs left out. And the force in which the last law was found."""
-    like, steps = diagnosis.base, []
-    if missing.switched and diagnosis.switched is not None:
-        like = selection_step(diagnosis.switched[0], "added", LATERAL_SLIP_SWITCH, diagnosis.switched[1])
-        steps.append(like)
+    like = _structure_of(diagnosis, missing)
+    steps = [] if like is diagnosis.base else [like]
     laws = best_laws(case, noise, like, last, missing, progress)
     if not laws:
         return [], missing
@@ -263,6 +264,27 @@ def _with_laws(
         if again is not None:
             return [*steps[:first], *again.steps], again.force
     return steps, missing
+
+
+def _by_exact_law(case: Case, noise: Noise, diagnosis: BaseDiagnosis, progress: Progress) -> Explanation | None:
+    """The explanation by one law with which only noise is left, in held-out runs too: it needs no random force."""
+    missing = _latent_force(diagnosis, diagnosis.base, progress)
+    like = _structure_of(diagnosis, missing)
+    law = exact_law(case, noise, like, missing, progress)
+    if law is None:
+        return None
+    added = selection_step(law.candidate_set, "added", law.names[0], law.fit)
+    if not _leaves_only_noise(added):
+        return None
+    steps = [added] if like is diagnosis.base else [like, added]
+    return _conclude_with_law(case, noise, diagnosis, steps, missing)
+
+
+def _structure_of(diagnosis: BaseDiagnosis, missing: LatentForce) -> WorkingStep:
+    """The base, or the change of structure, that `missing` is the force of."""
+    if not missing.switched or diagnosis.switched is None:
+        return diagnosis.base
+    return selection_step(diagnosis.switched[0], "added", LATERAL_SLIP_SWITCH, diagnosis.switched[1])
 
 
 def _conclude_with_law(

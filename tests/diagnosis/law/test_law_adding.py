@@ -89,3 +89,34 @@ def test_only_rivals_of_the_best_law_are_fitted_to_whole_runs() -> None:
 def test_a_new_law_takes_no_name_of_the_model() -> None:
     like: Any = SimpleNamespace(problem=SimpleNamespace(model=SimpleNamespace(effects={"law_1": None, "law_3": None})))
     assert adding.law_names(3, like) == ("law_2", "law_4", "law_5")
+
+
+@pytest.mark.parametrize(
+    ("left_out", "misfits", "fitted", "exact"),
+    [
+        ((1.0, 1.001), (1.0,), ["x"], "x"),
+        ((1.0, 1.001), (1.5, 1.0), ["x", "y"], "y"),
+        ((1.0, 1.2), (1.5,), ["x"], None),
+        ((1.1, 1.2), (), [], None),
+    ],
+)
+def test_an_exact_law_leaves_only_noise_in_windows_and_in_whole_runs(
+    left_out, misfits, fitted, exact, monkeypatch
+) -> None:
+    laws = tuple(proposed((name,), 0.9, misfit) for name, misfit in zip("xy", left_out, strict=True))
+    solutions, tried = iter(misfits), []
+
+    def fitted_laws(case, noise, like, effects, missing, laws):
+        tried.extend(laws[0].family.variables)
+        solution = SimpleNamespace(misfit=next(solutions), samples=10_000, loose=())
+        return SimpleNamespace(problem=None, train=[]), SimpleNamespace(solution=solution)
+
+    monkeypatch.setattr(adding, "fitted_laws", fitted_laws)
+    monkeypatch.setattr(adding, "accept_addition", lambda candidate_set, before, after: True)
+    monkeypatch.setattr(adding, "run_misfits", lambda problem, solution, train: np.ones(0))
+    like: Any = SimpleNamespace(candidate_set=None, step=SimpleNamespace(effects=()))
+    force = cast(Any, SimpleNamespace(windows=SimpleNamespace(samples=10_000), laws=laws))
+    case, noise = cast(Any, None), cast(Any, None)
+    added = adding.exact_law(case, noise, like, force, no_progress)
+    assert tried == fitted
+    assert (None if added is None else added.laws[0].family.variables[0]) == exact

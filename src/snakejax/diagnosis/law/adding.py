@@ -13,7 +13,7 @@ from snakejax.core.progress import Phase, Progress, ProgressEvent
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.dynamics.law import law_class
 from snakejax.dynamics.ports import Effect
-from snakejax.estimation.goodness_of_fit import consistent_with_noise, run_misfits
+from snakejax.estimation.goodness_of_fit import consistent_with_noise, noise_band, run_misfits
 from snakejax.estimation.initial_model import default_free
 from snakejax.estimation.initialisation import continue_to_convergence
 from snakejax.recording.run import Case, Noise
@@ -192,6 +192,28 @@ def best_laws(
     rivals = [like] if last is like else [like, last]
     expected = [expected_misfits(step.candidate_set, step.step) for step in rivals]
     return path if all(predicts_better(path[-1].left_out, before) for before in expected) else []
+
+
+def exact_law(
+    case: Case, noise: Noise, like: WorkingStep, missing: LatentForce, progress: Progress
+) -> AddedLaws | None:
+    """The first law of `missing` with which whole train runs leave only noise, added to `like`; None without one.
+
+    Only laws are fitted that leave only noise in the windows of runs left out.
+    """
+    if missing.windows is None:
+        return None
+    most = noise_band(missing.windows.samples, 0)[1]
+    for law in [law for law in missing.laws if law.left_out <= most][:TRIED]:
+        progress(ProgressEvent(Phase.LAW_FIT, f"fitting {law.expression} to whole runs"))
+        try:
+            candidate_set, fit = fitted_laws(case, noise, like.candidate_set, like.step.effects, missing, (law,))
+        except FitError:
+            continue
+        if consistent_with_noise(fit.solution) and accept_addition(candidate_set, like.step, fit):
+            left = run_misfits(candidate_set.problem, fit.solution, candidate_set.train)
+            return AddedLaws((law,), candidate_set, fit, left)
+    return None
 
 
 def _second(missing: LatentForce, first: ProposedLaw, progress: Progress) -> ProposedLaw | None:
