@@ -1,5 +1,6 @@
 """The judge of boards as real ones are: what counts as sure, true and first, and boards that are what they say."""
 
+import dataclasses
 import sys
 
 import numpy as np
@@ -12,6 +13,8 @@ sys.path.insert(0, str(ROOT / "benchmarks" / "real_like"))
 from boards import KINDS, draw
 from folders import key, measured, write
 from judge import clear, score, wilson
+from layout import TYRE
+from odd import slope
 from truth import DETECTABLE
 
 import snakejax as sj
@@ -100,16 +103,41 @@ def test_a_board_is_read_back_as_it_was_made(tmp_path):
 
 @pytest.mark.slow
 def test_boards_are_what_their_kind_says():
-    """Effects and their number, what is off, which run is odd; the sets and the numbers differ."""
+    """Effects and their number, and what is off; the sets and the numbers differ."""
     assert KINDS["real_like"] == 60
     several = key(draw("moderate", "dev", 1))
     assert 5 <= len(several["effects"]) <= 8 and not any(several["off"].values())
     longer = key(draw("wrong_length", "dev", 1))
     assert abs(longer["constants"]["L"] - 0.25) == pytest.approx(0.002)
-    odd = draw("odd_marker", "dev", 0)
-    assert list(key(odd)["odd"]) == ["train-forward-2"] and not key(odd)["effects"]
     tyres = [key(draw("wandering", group, n))["tyre"]["B"] for group in ("dev", "final") for n in range(3)]
     assert len(set(tyres)) == 6
+
+
+@pytest.mark.slow
+def test_one_run_of_an_odd_board_is_off_by_five_standard_errors():
+    """Beside the tyre and the start poses of all train runs, chi^2 of what it moves the path by is 25."""
+    pytest.importorskip("numba", reason="numba, of the extra `bench`, is not here: without it this takes minutes.")
+    board = draw("odd_tyre", "dev", 0)
+    assert list(key(board)["odd"]) == ["train-arc-1"] and not key(board)["effects"]
+    like_others = [dataclasses.replace(run, odd={}) for run in board.train]
+    moved, columns = [], []
+    for k, (run, other) in enumerate(zip(board.train, like_others, strict=True)):
+        moved.append((run.path(board.values) - other.path(board.values))[:, :, None])
+        starts = [other.moved(other.start + step).path(board.values) for step in np.diag([1e-5, 1e-5, 1e-5])]
+        own = np.zeros((*moved[-1].shape[:2], 3 * len(board.train)))
+        own[:, :, 3 * k : 3 * k + 3] = np.stack([(path - other.path(board.values)) / 1e-5 for path in starts], axis=2)
+        tyre = np.stack([slope(other, board.values, name) for name in TYRE], axis=2)
+        columns.append(np.concatenate([tyre, own], axis=2))
+    whitened = [
+        [
+            board.noise.whiten(run.times, one).reshape(-1, one.shape[2])
+            for run, one in zip(board.train, part, strict=True)
+        ]
+        for part in (moved, columns)
+    ]
+    r, C = (np.concatenate(part) for part in whitened)
+    left = r - C @ np.linalg.lstsq(C, r, rcond=None)[0]
+    assert float((left**2).sum()) == pytest.approx(25.0, rel=0.02)
 
 
 @pytest.mark.slow
