@@ -20,7 +20,7 @@ DRAWS = 4000
 NUMBERS = 1_000_000
 """So many numbers of made-up cases are held at a time: 8 MB."""
 OWN = 1e-9
-"""A run does not show a parameter where less than this share of V is left beside the common parameters."""
+"""A run does not show a parameter where less than this share of G_i[k, k] is left beside the common parameters."""
 TRAIN_RUNS = 3
 """Of two runs that differ nobody can say which is the odd one."""
 UNSHOWN = 1e-10
@@ -80,8 +80,8 @@ def odd_runs(
 
     which is chi^2 with one degree of freedom where run i is like the others (score test, Rao 1948). The largest of all
     runs and parameters is compared with the largest of made-up cases without an odd run: many parameters act alike, so
-    that it is smaller than that of as many independent tests. The others are
-    judged again without the run that is odd: it moves the common parameters, which makes them look odd too.
+    that it is smaller than that of as many independent tests. The others are judged again without the run that is odd:
+    it moves the common parameters, which makes them look odd too.
     `names`: the parameters that may shift and their columns. Of fewer than three runs none is the odd one.
     """
     odd_ones: list[OddRun] = []

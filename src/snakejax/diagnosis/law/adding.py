@@ -169,10 +169,9 @@ def best_laws(
             return None
         if not fit.solution.misfit < like.step.solution.misfit:
             return None
-        if consistent_with_noise(fit.solution) and accept_addition(candidate_set, like.step, fit):
-            return AddedLaws(
-                laws, candidate_set, fit, run_misfits(candidate_set.problem, fit.solution, candidate_set.train)
-            )
+        exact = _leaving_only_noise(like, laws, candidate_set, fit)
+        if exact is not None:
+            return exact
         # Far from the noise a linear model says nothing about runs left out.
         progress(ProgressEvent(Phase.PREDICTION, f"does {texts} predict omitted runs?"))
         return AddedLaws(laws, candidate_set, fit, left_out_misfits(candidate_set, fit))
@@ -210,10 +209,19 @@ def exact_law(
             candidate_set, fit = fitted_laws(case, noise, like.candidate_set, like.step.effects, missing, (law,))
         except FitError:
             continue
-        if consistent_with_noise(fit.solution) and accept_addition(candidate_set, like.step, fit):
-            left = run_misfits(candidate_set.problem, fit.solution, candidate_set.train)
-            return AddedLaws((law,), candidate_set, fit, left)
+        exact = _leaving_only_noise(like, (law,), candidate_set, fit)
+        if exact is not None:
+            return exact
     return None
+
+
+def _leaving_only_noise(
+    like: WorkingStep, laws: tuple[ProposedLaw, ...], candidate_set: CandidateSet, fit: CandidateFit
+) -> AddedLaws | None:
+    """The `laws` of `fit` where it leaves only noise of whole train runs and is accepted after `like`; else None."""
+    if not (consistent_with_noise(fit.solution) and accept_addition(candidate_set, like.step, fit)):
+        return None
+    return AddedLaws(laws, candidate_set, fit, run_misfits(candidate_set.problem, fit.solution, candidate_set.train))
 
 
 def _second(missing: LatentForce, first: ProposedLaw, progress: Progress) -> ProposedLaw | None:
