@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import ctypes
 import functools
 import gc
 import os
@@ -180,6 +181,10 @@ def _drop_programs() -> None:
 
     jax.clear_caches()
     gc.collect()  # The functions and programs refer to each other.
+    # The C library of GNU/Linux keeps what is freed until it is asked to return it; others have no such function.
+    give_back = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
+    if give_back is not None:
+        give_back(0)
 
 
 def _readable(options: argparse.Namespace, presets: bool, to_train: bool) -> tuple[dict[str, Any], int]:
