@@ -29,18 +29,20 @@ from .exact_checks import STATED_WELL, bands_of, constants_explain, odd_run_rath
 from .explanation import Explanation
 from .inexact.confidence import AMBIGUOUS, STAND_IN, SURE
 from .inexact.explaining import shares_of
-from .latent_force.missing_force import LatentForce, choose_structure
+from .latent_force.missing_force import LatentForce, choose_structure, estimate_latent_force
 from .law.adding import best_laws, exact_law, predicting_steps
 from .law.known_effects import known_effects_beside, law_beside_effects
 from .selection.acceptance import accept_structure, heldout_consistent
 from .selection.candidates import CandidateFit, CandidateSet
-from .selection.ranking import rank, significant
+from .selection.ranking import rank, significant, trial_order
 from .selection.steps import SelectionStep, indistinguishable
 from .selection.stepwise import stepwise_selection
 from .selection.working_step import WorkingStep, selection_step
 from .windows import explaining as windows
 
 Show = Callable[[SelectionStep], None]
+BESIDE_A_LAW = 2
+"""So many known effects, those that lower the misfit most, are tried with a law each."""
 
 
 def explain(
@@ -267,17 +269,31 @@ def _with_laws(
 
 
 def _by_exact_law(case: Case, noise: Noise, diagnosis: BaseDiagnosis, progress: Progress) -> Explanation | None:
-    """The explanation by one law with which only noise is left, in held-out runs too: it needs no random force."""
-    missing = _latent_force(diagnosis, diagnosis.base, progress)
+    """The explanation by one law, alone or beside a known effect, with which only noise is left, in held-out runs too:
+    it needs no random force."""
+    base = diagnosis.base
+    missing = _latent_force(diagnosis, base, progress)
     like = _structure_of(diagnosis, missing)
+    found = _exact_with_law(case, noise, like, missing, progress)
+    steps = [found] if like is base else [like, found]
+    for row in trial_order(base.ranking, base.candidate_set.criteria)[:BESIDE_A_LAW]:
+        if found is not None or row.refit is None or row.failed:
+            break
+        step = CandidateFit((*base.step.effects, row.effect), row.refit)
+        known = selection_step(base.candidate_set, "added", row.effect, step)
+        missing = estimate_latent_force(base.candidate_set, step, progress).with_laws()
+        found = _exact_with_law(case, noise, known, missing, progress)
+        steps = [known, found]
+    return None if found is None else _conclude_with_law(case, noise, diagnosis, steps, missing)
+
+
+def _exact_with_law(
+    case: Case, noise: Noise, like: WorkingStep, missing: LatentForce, progress: Progress
+) -> WorkingStep | None:
+    """The step that adds a law of `missing` to `like` with which only noise is left; None without one."""
     law = exact_law(case, noise, like, missing, progress)
-    if law is None:
-        return None
-    added = selection_step(law.candidate_set, "added", law.names[0], law.fit)
-    if not _leaves_only_noise(added):
-        return None
-    steps = [added] if like is diagnosis.base else [like, added]
-    return _conclude_with_law(case, noise, diagnosis, steps, missing)
+    added = None if law is None else selection_step(law.candidate_set, "added", law.names[0], law.fit)
+    return added if added is not None and _leaves_only_noise(added) else None
 
 
 def _structure_of(diagnosis: BaseDiagnosis, missing: LatentForce) -> WorkingStep:

@@ -184,6 +184,8 @@ def families(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]
         for action in ACTIONS[:3]:
             unit = product(unit_of(one), unit_of(other))
             yield Family("product", action.name, (one, other), (_term(action, "a", f"{one} * {other}", unit),))
+            parts = tuple(_term(action, letter, v, unit_of(v)) for letter, v in (("a", one), ("b", other)))
+            yield Family("sum", action.name, (one, other), parts)
     if "x" in ranges and "y" in ranges:
         yield from _in_the_plane(ranges)
 
