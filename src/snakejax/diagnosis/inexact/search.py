@@ -35,7 +35,7 @@ SEARCH_ROUNDS = 5
 """Rounds in which effects are chosen anew."""
 REFIT_ROUNDS = 10
 """Rounds of a fit of one set of effects, at most."""
-ROUGH, FINE = 8, 25
+ROUGH, FINE = 8, 40
 """Iterations of the discrepancy while the model still moves, and at the end."""
 SMALLEST_SHARE = 0.25
 """Least share of a step that is taken along a curved valley."""

@@ -36,7 +36,7 @@ FORCE_RANGE = (1e-4, 10.0)
 every purpose, and below it covariances lose their digits."""
 COLUMNS = 8
 """The number of columns of a compiled program is a multiple of this."""
-SLOWEST_GAIN = 1e-7
+SLOWEST_GAIN = 1e-9
 """The search ends where an iteration lowers R by less than this share."""
 NEARLY_WHITE, NO_WHITE = 1.5, 0.1
 """Noise that wanders within the first factor of the fastest time constant counts as white; white noise below the second
@@ -170,25 +170,36 @@ def estimate_discrepancy(
 def _minimum(
     data: SegmentData, start: Discrepancy, free: np.ndarray, prior: Prior, scales: Scales, most: int
 ) -> tuple[Discrepancy, float]:
-    low, high = scales.bounds()
+    unit = _typical_error(data)
+    low, high = (end / unit for end in scales.bounds())
     kept, prior_ = _kept(data, free), _prior_of(prior, free)
 
-    def value_and_slope(logarithms):
-        value, slope = _restricted_and_slope(jnp.asarray(logarithms), kept, *prior_)
-        value, slope = float(value), np.asarray(slope)
+    def value_and_slope(steps):
+        value, slope = _restricted_and_slope(jnp.asarray(steps * unit), kept, *prior_)
+        value, slope = float(value), np.asarray(slope) * unit
         if not (np.isfinite(value) and np.isfinite(slope).all()):
             return 1e12, np.zeros_like(slope)
         return value, slope
 
     result = optimize.minimize(
         value_and_slope,
-        np.clip(_logarithms(start), low, high),
+        np.clip(_logarithms(start) / unit, low, high),
         jac=True,
         method="L-BFGS-B",
         bounds=list(zip(low, high, strict=True)),
         options={"maxiter": most, "ftol": SLOWEST_GAIN},
     )
-    return _discrepancy(result.x), float(result.fun)
+    return _discrepancy(result.x * unit), float(result.fun)
+
+
+def _typical_error(data: SegmentData) -> np.ndarray:
+    """By how much each of the nine logarithms is known at best: 1 / sqrt(2 N), with the N samples, or segments, of which
+    it is the standard deviation. The search moves multiples of it: the logarithm of a force that a few hundred segments
+    tell is hundreds of times less curved than that of a noise, and in one unit for all it would hardly move."""
+    x, y, heading = np.maximum(data.present.sum(axis=(0, 1, 2)), 1)
+    segments = max(int((data.present.sum(axis=(2, 3)) > 0).sum()), 1)
+    told_by = np.array([x + y, heading, x + y, heading, segments, segments, segments, segments, segments])
+    return 1 / np.sqrt(2.0 * told_by)
 
 
 def _kept(data: SegmentData, free: np.ndarray) -> SegmentData:
