@@ -402,6 +402,20 @@ def test_noise_that_was_taken_for_a_force_is_found_again() -> None:
     np.testing.assert_allclose(found.white, truth.white, rtol=0.15)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("times", [10.0, 100.0])
+def test_a_weak_force_is_found_from_one_that_is_much_too_strong(times: float) -> None:
+    """A few segments tell it, and many samples the noise: one unit for both would leave the force where it began."""
+    truth = Discrepancy(
+        np.array([3e-4, 3e-4, 1e-3]), np.array([5e-4, 5e-4, 1.5e-3]), 0.2, np.array([1e-3, 1e-3, 5e-4]), 9.0
+    )
+    data, scales, prior = recorded(truth)
+    _, least = estimate_discrepancy(data, truth, np.arange(3), prior, scales, 40)
+    stronger = truth._replace(force=times * truth.force)
+    _, reached = estimate_discrepancy(data, stronger, np.arange(3), prior, scales, 40)
+    assert reached < least + 0.5
+
+
 def drawn(at: LinearisedSegments, s: Segments, truth: Discrepancy, rng: np.random.Generator) -> np.ndarray:
     """Deviations (S, n, 3) of the samples: of a random force, by the linear model, and of noise."""
     cut, dz = s.cut, np.zeros((len(s.cut.run), NZ))

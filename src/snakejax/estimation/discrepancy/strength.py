@@ -193,13 +193,14 @@ def _minimum(
 
 
 def _typical_error(data: SegmentData) -> np.ndarray:
-    """By how much each of the nine logarithms is known at best: 1 / sqrt(2 N), with the N samples, or segments, of which
-    it is the standard deviation. The search moves multiples of it: the logarithm of a force that a few hundred segments
-    tell is hundreds of times less curved than that of a noise, and in one unit for all it would hardly move."""
+    """By how much each of the nine logarithms is known at best: 1 / sqrt(2 N), with the N samples, or segments, whose
+    standard deviation it is. The search moves multiples of it: R is hundreds of times less curved in the logarithm of a
+    force, which a few hundred segments determine, than in that of a noise, and in one unit it would hardly move.
+    """
     x, y, heading = np.maximum(data.present.sum(axis=(0, 1, 2)), 1)
     segments = max(int((data.present.sum(axis=(2, 3)) > 0).sum()), 1)
-    told_by = np.array([x + y, heading, x + y, heading, segments, segments, segments, segments, segments])
-    return 1 / np.sqrt(2.0 * told_by)
+    count = np.array([x + y, heading, x + y, heading, segments, segments, segments, segments, segments])
+    return 1 / np.sqrt(2.0 * count)
 
 
 def _kept(data: SegmentData, free: np.ndarray) -> SegmentData:
