@@ -25,24 +25,20 @@ from snakejax.recording.run import Case, Noise
 
 from .all_effects_at_once import with_all_effects_at_once
 from .diagnosing import BaseDiagnosis, DiagnosisOptions, diagnose_base, start_of
-from .exact_checks import STATED_WELL, bands_of, constants_explain, odd_run_rather_than_effect, odd_runs_beside
+from .exact_checks import constants_explain, odd_run_rather_than_effect
+from .exact_explanation import exact_explanation, leaves_only_noise
+from .explaining_by_law import by_exact_law, conclude_with_law, latent_force_of, with_laws
 from .explanation import Explanation
-from .inexact.confidence import AMBIGUOUS, STAND_IN, SURE
-from .inexact.explaining import shares_of
-from .latent_force.missing_force import LatentForce, choose_structure, estimate_latent_force
-from .law.adding import best_laws, exact_law, predicting_steps
-from .law.known_effects import known_effects_beside, law_beside_effects
-from .selection.acceptance import accept_structure, heldout_consistent
+from .law.adding import predicting_steps
+from .selection.acceptance import accept_structure
 from .selection.candidates import CandidateFit, CandidateSet
-from .selection.ranking import rank, significant, trial_order
-from .selection.steps import SelectionStep, indistinguishable
+from .selection.ranking import rank, significant
+from .selection.steps import SelectionStep
 from .selection.stepwise import stepwise_selection
 from .selection.working_step import WorkingStep, selection_step
 from .windows import explaining as windows
 
 Show = Callable[[SelectionStep], None]
-BESIDE_A_LAW = 2
-"""So many known effects, those that lower the misfit most, are tried with a law each."""
 
 
 def explain(
@@ -87,7 +83,7 @@ def explain(
         if explanation is not None:
             train = explanation.final.train
             if train.misfit > noise_band(train.samples, 0)[1]:
-                explanation = _by_exact_law(case, noise, diagnosis, progress) or explanation
+                explanation = by_exact_law(case, noise, diagnosis, progress) or explanation
             for step in explanation.steps if logged else explanation.steps[1:]:
                 show(step)
             return explanation
@@ -227,14 +223,14 @@ def _conclude(
     """The verdict on the last of the steps, and what is missing where it leaves more than noise."""
     last, steps = working_steps[-1], tuple(step.record for step in working_steps)
     final, left_out = steps[-1], steps[0].left_out
-    if _leaves_only_noise(last):
-        return _explained(case, noise, last, steps)
+    if leaves_only_noise(last):
+        return exact_explanation(case, noise, last, steps)
     missing = None
     if len(last.candidate_set.train) > 1:
-        missing = _latent_force(diagnosis, last, progress)
-        with_laws, force = _with_laws(case, noise, diagnosis, last, missing, progress)
-        if with_laws:
-            return _conclude_with_law(case, noise, diagnosis, with_laws, force)
+        missing = latent_force_of(diagnosis, last, progress)
+        steps_with_laws, force = with_laws(case, noise, diagnosis, last, missing, progress)
+        if steps_with_laws:
+            return conclude_with_law(case, noise, diagnosis, steps_with_laws, force)
         working_steps = predicting_steps(working_steps, progress)
         last, steps = working_steps[-1], tuple(step.record for step in working_steps)
         final = steps[-1]
@@ -245,131 +241,3 @@ def _conclude(
     estimates = final.estimates | {name: e for name, e in known.items() if name.split(".")[1] in coexisting}
     steps = (*steps[:-1], dataclasses.replace(final, estimates=estimates))
     return Explanation(case, noise, steps, "unexplained", coexisting, partial, left_out, missing)
-
-
-def _with_laws(
-    case: Case, noise: Noise, diagnosis: BaseDiagnosis, last: WorkingStep, missing: LatentForce, progress: Progress
-) -> tuple[list[WorkingStep], LatentForce]:
-    """The steps to the model with the laws of the missing force, and with known effects beside them where they leave
-    more than noise; none where no law predicts runs left out. And the force in which the last law was found."""
-    like = _structure_of(diagnosis, missing)
-    steps = [] if like is diagnosis.base else [like]
-    laws = best_laws(case, noise, like, last, missing, progress)
-    if not laws:
-        return [], missing
-    first = len(steps)
-    steps += [selection_step(added.candidate_set, "added", added.names[-1], added.fit) for added in laws]
-    if not consistent_with_noise(laws[-1].fit.solution):
-        beside = known_effects_beside(case, noise, like.candidate_set, laws[-1], progress)
-        steps += beside
-        again = law_beside_effects(case, noise, like, beside[-1], laws[-1], progress) if beside else None
-        if again is not None:
-            return [*steps[:first], *again.steps], again.force
-    return steps, missing
-
-
-def _by_exact_law(case: Case, noise: Noise, diagnosis: BaseDiagnosis, progress: Progress) -> Explanation | None:
-    """The explanation by one law, alone or beside a known effect, with which only noise is left, in held-out runs too:
-    it needs no random force."""
-    base = diagnosis.base
-    missing = _latent_force(diagnosis, base, progress)
-    like = _structure_of(diagnosis, missing)
-    found = _exact_with_law(case, noise, like, missing, progress)
-    steps = [found] if like is base else [like, found]
-    for row in trial_order(base.ranking, base.candidate_set.criteria)[:BESIDE_A_LAW]:
-        if found is not None or row.refit is None or row.failed:
-            break
-        step = CandidateFit((*base.step.effects, row.effect), row.refit)
-        known = selection_step(base.candidate_set, "added", row.effect, step)
-        missing = estimate_latent_force(base.candidate_set, step, progress).with_laws()
-        found = _exact_with_law(case, noise, known, missing, progress)
-        steps = [known, found]
-    return None if found is None else _conclude_with_law(case, noise, diagnosis, steps, missing)
-
-
-def _exact_with_law(
-    case: Case, noise: Noise, like: WorkingStep, missing: LatentForce, progress: Progress
-) -> WorkingStep | None:
-    """The step that adds a law of `missing` to `like` with which only noise is left; None without one."""
-    law = exact_law(case, noise, like, missing, progress)
-    added = None if law is None else selection_step(law.candidate_set, "added", law.names[0], law.fit)
-    return added if added is not None and _leaves_only_noise(added) else None
-
-
-def _structure_of(diagnosis: BaseDiagnosis, missing: LatentForce) -> WorkingStep:
-    """The base, or the change of structure, that `missing` is the force of."""
-    if not missing.switched or diagnosis.switched is None:
-        return diagnosis.base
-    return selection_step(diagnosis.switched[0], "added", LATERAL_SLIP_SWITCH, diagnosis.switched[1])
-
-
-def _conclude_with_law(
-    case: Case, noise: Noise, diagnosis: BaseDiagnosis, with_law: Sequence[WorkingStep], missing: LatentForce
-) -> Explanation:
-    """The verdict on a model with a law: it explains where only noise is left."""
-    last, steps = with_law[-1], (diagnosis.base.record, *(step.record for step in with_law))
-    final, left_out = steps[-1], steps[0].left_out
-    if _leaves_only_noise(last):
-        return _explained(case, noise, last, steps, missing)
-    return Explanation(case, noise, steps, "unexplained", final.effects, (), left_out, missing, law=missing)
-
-
-def _leaves_only_noise(last: WorkingStep) -> bool:
-    """Whether the model of a step leaves only noise, in held-out runs too."""
-    return consistent_with_noise(last.step.solution) and heldout_consistent(
-        last.candidate_set, last.step, last.judgement
-    )
-
-
-def _explained(
-    case: Case,
-    noise: Noise,
-    last: WorkingStep,
-    steps: tuple[SelectionStep, ...],
-    law: LatentForce | None = None,
-) -> Explanation:
-    """The explanation by the `last` step, which leaves only noise; `law`: the force in which a law of it was found."""
-    final = steps[-1]
-    share, explained_share = shares_of(steps)
-    return Explanation(
-        case,
-        noise,
-        steps,
-        "explained" if final.effects else "adequate",
-        final.effects,
-        (),
-        steps[0].left_out,
-        None,
-        confidence={effect: _confidence_where_exact(steps, effect) for effect in final.effects},
-        share=share,
-        explained_share=explained_share,
-        bands=bands_of(final.fitted),
-        odd_runs=odd_runs_beside(last.candidate_set, last.step),
-        law=law,
-    )
-
-
-def _confidence_where_exact(steps: Sequence[SelectionStep], effect: str) -> str:
-    """How sure an effect is where it leaves only noise: the model is exact, so only a twin or a constant is as good."""
-    if indistinguishable(steps, effect):
-        return AMBIGUOUS
-    final = steps[-1]
-    port = final.model.effects.get(effect)
-    stated_sd = final.model.board.stated_sd
-    for name, constant in ({} if port is None else port.equivalent_constant).items():
-        if abs(final.estimates_of(effect)[name].value) < STATED_WELL * stated_sd.get(constant, 0.0):
-            return STAND_IN
-    return SURE
-
-
-def _latent_force(diagnosis: BaseDiagnosis, last: WorkingStep, progress: Progress) -> LatentForce:
-    """The force that both structures lack, and the added effects that act beside it.
-
-    Effects that do not explain would hide a part of it, so it is estimated from the structures on.
-    """
-    base = diagnosis.base
-    structures = [(base.candidate_set, base.step)]
-    if diagnosis.switched:
-        structures.append(diagnosis.switched)
-    added = [name for name in last.step.effects if name not in base.step.effects]
-    return choose_structure(structures, last.candidate_set, added, progress)

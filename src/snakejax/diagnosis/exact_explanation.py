@@ -1,0 +1,63 @@
+"""The explanation by a model that leaves only noise."""
+
+from collections.abc import Sequence
+
+from snakejax.estimation.goodness_of_fit import consistent_with_noise
+from snakejax.recording.run import Case, Noise
+
+from .exact_checks import STATED_WELL, bands_of, odd_runs_beside
+from .explanation import Explanation
+from .inexact.confidence import AMBIGUOUS, STAND_IN, SURE
+from .inexact.explaining import shares_of
+from .latent_force.missing_force import LatentForce
+from .selection.acceptance import heldout_consistent
+from .selection.steps import SelectionStep, indistinguishable
+from .selection.working_step import WorkingStep
+
+
+def leaves_only_noise(last: WorkingStep) -> bool:
+    """Whether the model of a step leaves only noise, in held-out runs too."""
+    return consistent_with_noise(last.step.solution) and heldout_consistent(
+        last.candidate_set, last.step, last.judgement
+    )
+
+
+def exact_explanation(
+    case: Case,
+    noise: Noise,
+    last: WorkingStep,
+    steps: tuple[SelectionStep, ...],
+    law: LatentForce | None = None,
+) -> Explanation:
+    """The explanation by the `last` step, which leaves only noise; `law`: the force in which a law of it was found."""
+    final = steps[-1]
+    share, explained_share = shares_of(steps)
+    return Explanation(
+        case,
+        noise,
+        steps,
+        "explained" if final.effects else "adequate",
+        final.effects,
+        (),
+        steps[0].left_out,
+        None,
+        confidence={effect: _confidence_where_exact(steps, effect) for effect in final.effects},
+        share=share,
+        explained_share=explained_share,
+        bands=bands_of(final.fitted),
+        odd_runs=odd_runs_beside(last.candidate_set, last.step),
+        law=law,
+    )
+
+
+def _confidence_where_exact(steps: Sequence[SelectionStep], effect: str) -> str:
+    """How sure an effect is where it leaves only noise: the model is exact, so only a twin or a constant is as good."""
+    if indistinguishable(steps, effect):
+        return AMBIGUOUS
+    final = steps[-1]
+    port = final.model.effects.get(effect)
+    stated_sd = final.model.board.stated_sd
+    for name, constant in ({} if port is None else port.equivalent_constant).items():
+        if abs(final.estimates_of(effect)[name].value) < STATED_WELL * stated_sd.get(constant, 0.0):
+            return STAND_IN
+    return SURE
