@@ -23,16 +23,17 @@ from ..law.search import ProposedLaw
 from ..law.search import search as search_laws
 from ..selection.candidates import CandidateSet
 from .candidate_model import CandidateModel, candidate_model, movable_parameters
+from .confidence import beside_unknown
 from .left_out import Gain, left_out, with_predicting_effects
 from .revision import revised
 from .search import Linear, Point, Search
 from .segment_force import force_windows
-from .subsets import choose
+from .subsets import choose, prune
 
 WEAKER = 1 / 3
 """A law is looked for beside this share of the random force: a tenth of its power, so that the law is taken for the
 rest."""
-TRIED = 3
+TRIED = 5
 """So many laws are fitted with everything else, at most."""
 WIDE = 3.0
 """Prior standard deviation of a number of a law, as a multiple of its value in the segments."""
@@ -97,8 +98,8 @@ def choose_law(
     if len(linear.gram) < 2:
         return LawChoice()
     search.progress(ProgressEvent(Phase.LAW_SEARCH))
-    proposals = [one for weak in beside_weaker_force(search, linear) for one in proposed(search, weak)]
-    ordered = distinct(proposals)
+    needed = with_needed_effects(search, linear)
+    ordered = distinct([one for weak in beside_weaker_force(search, needed) for one in proposed(search, weak)])
     before, effects = left_out(search, linear), linear.point.effects
     whole = before.mean_square(effects)
     fitted: list[tuple[Proposal, FittedLaw]] = []
@@ -159,6 +160,14 @@ def distinct(proposals: Sequence[Proposal]) -> list[Proposal]:
     for one in sorted(proposals, key=lambda one: one.penalised):
         of_form.setdefault(one.form, one)
     return list(of_form.values())
+
+
+def with_needed_effects(search: Search, linear: Linear) -> Linear:
+    """The fit with only those effects of `linear` that are needed even if a share `cautious_force` of the forces had
+    another cause: the others may stand in for the law, which then cannot be seen beside them."""
+    effects = linear.point.effects
+    needed = prune(beside_unknown(search, linear, search.criteria.cautious_force, exact=False), effects)
+    return linear if set(needed) == set(effects) else search.refit(linear.point, needed)
 
 
 def beside_weaker_force(search: Search, linear: Linear) -> list[Linear]:
