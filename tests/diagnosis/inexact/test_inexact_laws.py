@@ -65,6 +65,7 @@ def chooser(monkeypatch, proposals: list[laws.Proposal], fitted: Callable[..., A
     100; `fitted` stands for the fit of one of them."""
     monkeypatch.setattr(laws, "_fitted", fitted)
     monkeypatch.setattr(laws, "proposed", lambda search, weak: proposals)
+    monkeypatch.setattr(laws, "with_needed_effects", lambda search, linear: linear)
     monkeypatch.setattr(laws, "beside_weaker_force", lambda search, linear: [None])
     plain = SimpleNamespace(deviance=lambda effects: np.full(3, 100.0), mean_square=lambda effects: ERRORS)
     monkeypatch.setattr(laws, "left_out", lambda search, linear: plain)
@@ -232,3 +233,26 @@ def test_a_law_is_looked_for_beside_a_weaker_force() -> None:
     for one in found:
         assert one.point.discrepancy is asked[0]
         np.testing.assert_array_equal(one.subsets.gram, under(asked[0]).gram)
+
+
+@pytest.mark.parametrize(("size", "needed"), [(2.0, ("drag",)), (20.0, ("drag", "slope"))])
+def test_a_law_is_looked_for_beside_the_effects_that_are_needed_whatever_else_acts(size, needed) -> None:
+    """Under the estimated force both effects are significant; where more is unknown, a slope of 2 is not."""
+    of = Discrepancy(np.ones(3), np.ones(3), 0.2, np.zeros(3), 1.0)
+    forces: list[Any] = []
+
+    def under(discrepancy: Discrepancy) -> Subsets:
+        forces.append(discrepancy)
+        columns = np.array([[20.0, 20.0, 0.0], [size, 0.0, size], [1.0, 0.0, 0.0]])
+        unbounded = np.full(2, np.inf)
+        prior = Prior(np.zeros(2), np.full(2, 1e-9))
+        return Subsets(columns.T @ columns, (), OrderedDict(drag=(0,), slope=(1,)), prior, -unbounded, unbounded)
+
+    linear: Any = SimpleNamespace(point=SimpleNamespace(discrepancy=of, effects=("drag", "slope")), under=under)
+    search: Any = SimpleNamespace(
+        scales=SimpleNamespace(force=np.full(3, 10.0)), criteria=CRITERIA, refit=lambda point, effects: tuple(effects)
+    )
+    kept = laws.with_needed_effects(search, linear)
+    assert (linear.point.effects if kept is linear else kept) == needed
+    np.testing.assert_allclose(forces[0].force, CRITERIA.cautious_force * 10.0)
+    assert forces[0].force_time >= CRITERIA.shortest_force
