@@ -27,7 +27,7 @@ from .all_effects_at_once import with_all_effects_at_once
 from .diagnosing import BaseDiagnosis, DiagnosisOptions, diagnose_base, start_of
 from .exact_checks import constants_explain, odd_run_rather_than_effect
 from .exact_explanation import exact_explanation, leaves_only_noise
-from .explaining_by_law import by_exact_law, conclude_with_law, latent_force_of, with_laws
+from .explaining_by_law import by_exact_law, by_exact_law_beside, conclude_with_law, latent_force_of, with_laws
 from .explanation import Explanation
 from .law.adding import predicting_steps
 from .selection.acceptance import accept_structure
@@ -229,6 +229,10 @@ def _conclude(
     if len(last.candidate_set.train) > 1:
         missing = latent_force_of(diagnosis, last, progress)
         steps_with_laws, force = with_laws(case, noise, diagnosis, last, missing, progress)
+        if not (steps_with_laws and leaves_only_noise(steps_with_laws[-1])):
+            exact = by_exact_law_beside(case, noise, diagnosis, progress)
+            if exact is not None:
+                return exact
         if steps_with_laws:
             return conclude_with_law(case, noise, diagnosis, steps_with_laws, force)
         working_steps = predicting_steps(working_steps, progress)

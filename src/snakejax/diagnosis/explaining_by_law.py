@@ -45,20 +45,29 @@ def with_laws(
 def by_exact_law(case: Case, noise: Noise, diagnosis: BaseDiagnosis, progress: Progress) -> Explanation | None:
     """The explanation by one law, alone or beside a known effect, with which only noise is left, in held-out runs too:
     it needs no random force."""
-    base = diagnosis.base
-    missing = latent_force_of(diagnosis, base, progress)
+    missing = latent_force_of(diagnosis, diagnosis.base, progress)
     like = _structure_of(diagnosis, missing)
     exact = _exact_with_law(case, noise, like, missing, progress)
-    steps = [exact] if like is base else [like, exact]
+    if exact is None:
+        return by_exact_law_beside(case, noise, diagnosis, progress)
+    steps = [exact] if like is diagnosis.base else [like, exact]
+    return conclude_with_law(case, noise, diagnosis, steps, missing)
+
+
+def by_exact_law_beside(case: Case, noise: Noise, diagnosis: BaseDiagnosis, progress: Progress) -> Explanation | None:
+    """The explanation by a known effect, of those that lower the misfit most, and one law, with which only noise is
+    left. The law shows once the effect is in the model: before, the force holds what both do."""
+    base = diagnosis.base
     for row in trial_order(base.ranking, base.candidate_set.criteria)[:BESIDE_A_LAW]:
-        if exact is not None or row.refit is None or row.failed:
-            break
+        if row.refit is None or row.failed:
+            continue
         step = CandidateFit((*base.step.effects, row.effect), row.refit)
         known = selection_step(base.candidate_set, "added", row.effect, step)
         missing = estimate_latent_force(base.candidate_set, step, progress).with_laws()
         exact = _exact_with_law(case, noise, known, missing, progress)
-        steps = [known, exact]
-    return None if exact is None else conclude_with_law(case, noise, diagnosis, steps, missing)
+        if exact is not None:
+            return conclude_with_law(case, noise, diagnosis, [known, exact], missing)
+    return None
 
 
 def _exact_with_law(
