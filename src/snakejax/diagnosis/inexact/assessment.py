@@ -99,10 +99,11 @@ def assess(
     """
     criteria, scales = search.criteria, search.scales
     evidence = model_evidence(search, linear)
-    # Intervals count a force that the runs do not show, as far as it was estimated; predictions do without it. A law
-    # was chosen by its form: where it stands for a random force, what it leaves may be too regular to be seen as one.
+    # Intervals count a force that the runs do not show, as far as it was estimated; predictions do without it. Where
+    # the model is not exact, what it lacks may be too regular to be seen as a random force, or a law or an effect may
+    # stand in for it.
     wide = expected = predicting = linear.point.discrepancy
-    if evidence.has_force or laws:
+    if laws or not evidence.exact:
         wide = wide.enlarged(criteria.interval_force * scales.force, longest=criteria.shortest_force)
     if evidence.has_force:
         expected = wide

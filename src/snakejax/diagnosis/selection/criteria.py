@@ -94,8 +94,9 @@ class SelectionCriteria(NamedTuple):
     """A random force, correlated noise and corrected constants are accepted if they lower -2 log restricted likelihood
     by more than this: a likelihood ratio of exp(9 / 2) = 90."""
     interval_force: float = 0.01
-    """If a random force was found, the intervals include a further force of this share of the forces that move the
-    vehicle. A force that depends on the place or the motion is larger than its estimate as a random force."""
+    """If the model is not exact, the intervals include a further force of this share of the forces that move the
+    vehicle. A force that depends on the place or the motion is larger than its estimate as a random force, or is not
+    seen as one."""
     cautious_force: float = 0.02
     """An effect is likely if its fall is half significant even if this share of the forces that move the vehicle had
     another cause; a smaller share if the model is exact and the recordings exclude so large a random force. Exact: no
