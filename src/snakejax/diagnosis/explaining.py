@@ -229,12 +229,11 @@ def _conclude(
     if len(last.candidate_set.train) > 1:
         missing = latent_force_of(diagnosis, last, progress)
         steps_with_laws, force = with_laws(case, noise, diagnosis, last, missing, progress)
-        if not (steps_with_laws and leaves_only_noise(steps_with_laws[-1])):
-            exact = by_exact_law_beside(case, noise, diagnosis, progress)
-            if exact is not None:
-                return exact
-        if steps_with_laws:
-            return conclude_with_law(case, noise, diagnosis, steps_with_laws, force)
+        by_laws = conclude_with_law(case, noise, diagnosis, steps_with_laws, force) if steps_with_laws else None
+        if by_laws is None or by_laws.verdict != "explained":
+            by_laws = by_exact_law_beside(case, noise, diagnosis, progress) or by_laws
+        if by_laws is not None:
+            return by_laws
         working_steps = predicting_steps(working_steps, progress)
         last, steps = working_steps[-1], tuple(step.record for step in working_steps)
         final = steps[-1]

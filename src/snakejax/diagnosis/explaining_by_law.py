@@ -25,7 +25,7 @@ def with_laws(
     case: Case, noise: Noise, diagnosis: BaseDiagnosis, last: WorkingStep, missing: LatentForce, progress: Progress
 ) -> tuple[list[WorkingStep], LatentForce]:
     """The steps to the model with the laws of the missing force, and with known effects beside them where they leave
-    more than noise; none where no law predicts runs left out. And the force in which the last law was exact."""
+    more than noise; none where no law predicts runs left out. And the force in which the last law was found."""
     like = _structure_of(diagnosis, missing)
     steps = [] if like is diagnosis.base else [like]
     laws = best_laws(case, noise, like, last, missing, progress)
@@ -46,12 +46,8 @@ def by_exact_law(case: Case, noise: Noise, diagnosis: BaseDiagnosis, progress: P
     """The explanation by one law, alone or beside a known effect, with which only noise is left, in held-out runs too:
     it needs no random force."""
     missing = latent_force_of(diagnosis, diagnosis.base, progress)
-    like = _structure_of(diagnosis, missing)
-    exact = _exact_with_law(case, noise, like, missing, progress)
-    if exact is None:
-        return by_exact_law_beside(case, noise, diagnosis, progress)
-    steps = [exact] if like is diagnosis.base else [like, exact]
-    return conclude_with_law(case, noise, diagnosis, steps, missing)
+    alone = _with_exact_law(case, noise, diagnosis, _structure_of(diagnosis, missing), missing, progress)
+    return by_exact_law_beside(case, noise, diagnosis, progress) if alone is None else alone
 
 
 def by_exact_law_beside(case: Case, noise: Noise, diagnosis: BaseDiagnosis, progress: Progress) -> Explanation | None:
@@ -64,19 +60,23 @@ def by_exact_law_beside(case: Case, noise: Noise, diagnosis: BaseDiagnosis, prog
         step = CandidateFit((*base.step.effects, row.effect), row.refit)
         known = selection_step(base.candidate_set, "added", row.effect, step)
         missing = estimate_latent_force(base.candidate_set, step, progress).with_laws()
-        exact = _exact_with_law(case, noise, known, missing, progress)
-        if exact is not None:
-            return conclude_with_law(case, noise, diagnosis, [known, exact], missing)
+        explanation = _with_exact_law(case, noise, diagnosis, known, missing, progress)
+        if explanation is not None:
+            return explanation
     return None
 
 
-def _exact_with_law(
-    case: Case, noise: Noise, like: WorkingStep, missing: LatentForce, progress: Progress
-) -> WorkingStep | None:
-    """The step that adds a law of `missing` to `like` with which only noise is left; None without one."""
+def _with_exact_law(
+    case: Case, noise: Noise, diagnosis: BaseDiagnosis, like: WorkingStep, missing: LatentForce, progress: Progress
+) -> Explanation | None:
+    """The explanation by the step `like` and a law of `missing`, with which only noise is left; None without one."""
     law = exact_law(case, noise, like, missing, progress)
-    added = None if law is None else selection_step(law.candidate_set, "added", law.names[0], law.fit)
-    return added if added is not None and leaves_only_noise(added) else None
+    if law is None:
+        return None
+    added = selection_step(law.candidate_set, "added", law.names[0], law.fit)
+    steps = [added] if like is diagnosis.base else [like, added]
+    explanation = conclude_with_law(case, noise, diagnosis, steps, missing)
+    return explanation if explanation.verdict == "explained" else None
 
 
 def _structure_of(diagnosis: BaseDiagnosis, missing: LatentForce) -> WorkingStep:
