@@ -11,7 +11,7 @@ from snakejax.core.progress import Progress, no_progress
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.dynamics.ports import Effect
 from snakejax.estimation.fit_workspace import fit_workspace
-from snakejax.estimation.goodness_of_fit import consistent_with_noise, noise_band
+from snakejax.estimation.goodness_of_fit import consistent_with_noise, largest_noise_misfit
 from snakejax.estimation.joint_logs.clocks import STILL, free_clocks
 from snakejax.estimation.joint_logs.fitting import (
     with_aligned_logs,
@@ -82,7 +82,7 @@ def explain(
         explanation = with_all_effects_at_once(case, noise, diagnosis, progress)
         if explanation is not None:
             train = explanation.final.train
-            if train.misfit > noise_band(train.samples, 0)[1]:
+            if train.misfit > largest_noise_misfit(train.samples):
                 explanation = by_exact_law(case, noise, diagnosis, progress) or explanation
             for step in explanation.steps if logged else explanation.steps[1:]:
                 show(step)

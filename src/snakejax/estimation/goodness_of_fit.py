@@ -101,16 +101,15 @@ def pooled_score(scores: Sequence[RunScore]) -> Score:
     )
 
 
-def noise_band(samples: int, estimated_parameters: float) -> tuple[float, float]:
-    """Range of the misfit under noise alone: (d -+ NOISE_SIGMAS sqrt(2 d)) / N with d = N - `estimated_parameters`.
+def largest_noise_misfit(samples: int, estimated_parameters: float = 0) -> float:
+    """The largest misfit under noise alone: (d + NOISE_SIGMAS sqrt(2 d)) / N with d = N - `estimated_parameters`.
 
     N is the number of `samples`; N times the misfit follows chi^2 with d degrees of freedom.
     """
     dof = max(samples - estimated_parameters, 1.0)
-    centre, width = dof / samples, NOISE_SIGMAS * np.sqrt(2 * dof) / samples
-    return centre - width, centre + width
+    return float((dof + NOISE_SIGMAS * np.sqrt(2 * dof)) / samples)
 
 
 def consistent_with_noise(solution: Solution) -> bool:
-    """Whether the misfit is at most the upper end of `noise_band`."""
-    return bool(solution.misfit <= noise_band(solution.samples, len(solution.loose))[1])
+    """Whether the misfit is at most the largest that noise alone leaves."""
+    return bool(solution.misfit <= largest_noise_misfit(solution.samples, len(solution.loose)))

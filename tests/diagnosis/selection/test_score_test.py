@@ -3,13 +3,14 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import stats
 
 from snakejax import TABLE_II, Board, Case, Gait, Model, Noise, Pacejka, Run, Sines, simulate
 from snakejax.core.local_polynomials import local_cubics
 from snakejax.diagnosis import diagnose
 from snakejax.diagnosis.selection.score_test import ProjectedResiduals, confusable, project_starts, score
 from snakejax.effects import ComOffset, GripSplit, GroundSlope, YawBias
-from snakejax.estimation.goodness_of_fit import noise_band
+from snakejax.estimation.goodness_of_fit import largest_noise_misfit
 from snakejax.estimation.linearisation import Linearised
 from snakejax.estimation.multiple_shooting import SMOOTHING
 
@@ -88,11 +89,9 @@ def test_what_explains_far_more_is_told_from_a_weaker_likeness(model):
     assert confusable([slope._replace(statistic=32.0), bias]) == rivals
 
 
-def test_the_noise_band_is_that_of_chi_squared():
-    """Misfits of pure noise lie within the band but for one in ten thousand."""
-    low, high = noise_band(1000, 10)
-    draws = np.random.default_rng(0).chisquare(990, 2000) / 1000
-    assert np.mean((draws < low) | (draws > high)) < 0.005
+def test_noise_alone_hardly_ever_leaves_more_than_its_largest_misfit():
+    """chi^2 exceeds it less often than once in three thousand, and once in a hundred thousand or more."""
+    assert 1e-5 < stats.chi2.sf(1000 * largest_noise_misfit(1000, 10), 990) < 1 / 3000
 
 
 @pytest.mark.long

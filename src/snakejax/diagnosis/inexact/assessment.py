@@ -103,14 +103,15 @@ def assess(
     # the model is not exact, what it lacks may be too regular to be seen as a random force, or a law or an effect may
     # stand in for it.
     wide = expected = predicting = linear.point.discrepancy
-    if laws or not evidence.exact:
+    exact = evidence.exact and not laws
+    if not exact:
         wide = wide.enlarged(criteria.interval_force * scales.force, longest=criteria.shortest_force)
     if evidence.has_force:
         expected = wide
     else:
         expected = predicting = expected.without_force(scales.least_force)
     predicted = left_out(search, linear)
-    sure = confidence(search, linear, predicted, laws, evidence.exact)
+    sure = confidence(search, linear, predicted, laws, exact)
     effects = tuple(sorted(sure, key=lambda effect: -sure[effect].cautious_fall))
     problem = linear.under(wide)
     values = search.segments.moved(linear.point.values, linear.optimum.step)

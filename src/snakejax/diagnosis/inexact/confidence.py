@@ -49,8 +49,8 @@ def confidence(
     search: Search, linear: Linear, predicted: LeftOut, laws: Mapping[str, tuple[str, ...]], exact: bool
 ) -> dict[str, Confidence]:
     """How sure each effect of the point of `linear` is; `laws`: those that are laws, with others that do as well;
-    `exact`: whether white noise and the model with the stated constants are all that there is."""
-    effects, criteria, exact = linear.point.effects, search.criteria, exact and not laws
+    `exact`: whether white noise and the model with the stated constants, without a law, are all that there is."""
+    effects, criteria = linear.point.effects, search.criteria
     wide = beside_unknown(search, linear, criteria.cautious_force, exact)
     widest = beside_unknown(search, linear, criteria.largest_random_force, exact)
     costs, wide_costs, widest_costs = (removal_costs(each, effects) for each in (linear.subsets, wide, widest))

@@ -13,7 +13,7 @@ from snakejax.core.progress import Phase, Progress, ProgressEvent
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.dynamics.law import law_class
 from snakejax.dynamics.ports import Effect
-from snakejax.estimation.goodness_of_fit import consistent_with_noise, noise_band, run_misfits
+from snakejax.estimation.goodness_of_fit import consistent_with_noise, largest_noise_misfit, run_misfits
 from snakejax.estimation.initial_model import default_free
 from snakejax.estimation.initialisation import continue_to_convergence
 from snakejax.recording.run import Case, Noise
@@ -202,7 +202,7 @@ def exact_law(
     """
     if missing.windows is None:
         return None
-    most = noise_band(missing.windows.samples, 0)[1]
+    most = largest_noise_misfit(missing.windows.samples)
     for law in [law for law in missing.laws if law.left_out <= most][:TRIED]:
         progress(ProgressEvent(Phase.LAW_FIT, f"fitting {law.expression} to whole runs"))
         try:

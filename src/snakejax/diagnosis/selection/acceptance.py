@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import stats
 
-from snakejax.estimation.goodness_of_fit import NOISE_SIGMAS, consistent_with_noise, noise_band
+from snakejax.estimation.goodness_of_fit import NOISE_SIGMAS, consistent_with_noise, largest_noise_misfit
 from snakejax.estimation.linearisation import project_out_starts
 from snakejax.estimation.problem import Solution, covariance_of
 from snakejax.estimation.uncertainty import spread
@@ -95,7 +95,7 @@ def heldout_consistent(candidate_set: CandidateSet, step: CandidateFit, heldout:
     if heldout is None:
         return True
     carried = _carried(candidate_set, step, heldout)
-    if heldout.misfit <= noise_band(heldout.samples, 0)[1] + NOISE_SIGMAS * carried / heldout.samples:
+    if heldout.misfit <= largest_noise_misfit(heldout.samples) + NOISE_SIGMAS * carried / heldout.samples:
         return True
     held = candidate_set.problem.run_indices("heldout")
     start = step.solution.start.copy()

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import stats
 
 from snakejax.dynamics.model import Model
-from snakejax.estimation.goodness_of_fit import noise_band
+from snakejax.estimation.goodness_of_fit import largest_noise_misfit
 from snakejax.estimation.jackknife import left_out_sd
 from snakejax.estimation.linearisation import Linearised, domains_of, orthonormal_basis, project_out_starts
 from snakejax.estimation.multiple_shooting import LENGTH
@@ -155,7 +155,7 @@ def _score_one(base: _Base, effect: str, parts: list[str], E: np.ndarray, usable
     if bounded and usable.sum() == 1:
         p_value = p_value / 2 if fall > 0 else 1.0
     sd = np.sqrt(np.diag(covariance) * variance * inflation)
-    if base.rest.run is not None and variance > noise_band(base.dof, 0)[1]:
+    if base.rest.run is not None and variance > largest_noise_misfit(base.dof):
         both = np.concatenate([base.columns, E], axis=1)
         sd = np.maximum(sd, left_out_sd(both, r + E @ free_change, base.rest.run)[base.columns.shape[1] :])
     signature = E @ change if fall > 0 else E[:, int(np.argmax(usable))]

@@ -11,7 +11,7 @@ from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.dynamics.ports import Effect
 from snakejax.estimation.discrepancy.segments import BODY
 from snakejax.estimation.discrepancy.strength import Scales, window_force
-from snakejax.estimation.goodness_of_fit import noise_band
+from snakejax.estimation.goodness_of_fit import largest_noise_misfit
 from snakejax.estimation.initialisation import is_short
 from snakejax.estimation.problem import Problem
 from snakejax.estimation.window_fit import WindowPoint, scale_of
@@ -273,7 +273,7 @@ def _only_noise(final: SelectionStep, parameters: int) -> bool:
         known.append((final.heldout, 0, "heldout"))
     for score, estimated, role in known:
         starts = BODY * sum(run.role == role for run in final.runs)
-        if not score.misfit <= noise_band(score.samples, estimated + starts)[1]:
+        if not score.misfit <= largest_noise_misfit(score.samples, estimated + starts):
             return False
     return True
 
