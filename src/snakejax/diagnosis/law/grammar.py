@@ -74,13 +74,17 @@ class Term(NamedTuple):
 
 
 class Family(NamedTuple):
-    """A form of law: its `terms` are added; `shape` are the parameters inside them. `name` and `variables` tell it."""
+    """A form of law: its `terms` are added; `shape` are the parameters inside them. `name` and `variables` tell it.
+
+    `whole`: without one of its terms it is another form, or none that nature knows.
+    """
 
     name: str
     action: str
     variables: tuple[str, ...]
     terms: tuple[Term, ...]
     shape: tuple[ShapeParameter, ...] = ()
+    whole: bool = False
 
     @property
     def size(self) -> int:
@@ -185,7 +189,8 @@ def families(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]
             unit = product(unit_of(one), unit_of(other))
             yield Family("product", action.name, (one, other), (_term(action, "a", f"{one} * {other}", unit),))
             parts = tuple(_term(action, letter, v, unit_of(v)) for letter, v in (("a", one), ("b", other)))
-            yield Family("sum", action.name, (one, other), parts)
+            # One of its parts alone is a form of one variable.
+            yield Family("sum", action.name, (one, other), parts, whole=True)
     if "x" in ranges and "y" in ranges:
         yield from _in_the_plane(ranges)
 
@@ -221,7 +226,8 @@ def _in_the_plane(ranges: dict[str, Range]) -> Iterator[Family]:
     size = max(ranges["x"].width, ranges["y"].width)
     pull = Term("k", {"N": 1, "m": -1}, (("east", "-x"), ("north", "-y")))
     constant = (_term(EAST, "a", "", {}), _term(NORTH, "b", "", {}))
-    yield Family("spring", "world", ("x", "y"), (pull, *constant))
+    # Without a constant, its point would be on an axis of the world, which lies where the cameras have it.
+    yield Family("spring", "world", ("x", "y"), (pull, *constant), whole=True)
     planes = [
         _term(side, letter, v, metre)
         for side, letters in ((EAST, "cd"), (NORTH, "fg"))

@@ -174,10 +174,8 @@ def _refined(windows: ForceWindows, trial: _Trial, given: Sequence[np.ndarray]) 
 
 
 def _pruned(windows: ForceWindows, trial: _Trial, given: Sequence[np.ndarray]) -> _Trial:
-    """`trial` without the terms that predict nothing on runs left out. A spring keeps all of its terms: without
-    one, its point would be on an axis of the world, which lies where the cameras have it. So does a sum: without one,
-    it is a form of its own, of one variable."""
-    while len(trial.family.terms) > 1 and trial.family.name not in ("spring", "sum"):
+    """`trial` without the terms that predict nothing on runs left out."""
+    while len(trial.family.terms) > 1 and not trial.family.whole:
         worth = max(FEWEST_CHI2, 0.02 * (trial.left_out - windows.samples))
         terms = trial.family.terms
         fewer = [trial.family._replace(terms=(*terms[:k], *terms[k + 1 :])) for k in range(len(terms))]
