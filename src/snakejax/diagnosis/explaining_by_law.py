@@ -54,11 +54,11 @@ def by_exact_law_beside(case: Case, noise: Noise, diagnosis: BaseDiagnosis, prog
     """The explanation by a known effect, of those that lower the misfit most, and one law, with which only noise is
     left. The law shows once the effect is in the model: before, the force holds what both do."""
     base = diagnosis.base
-    for row in trial_order(base.ranking, base.candidate_set.criteria)[:BESIDE_A_LAW]:
-        if row.refit is None or row.failed:
-            continue
-        step = CandidateFit((*base.step.effects, row.effect), row.refit)
-        known = selection_step(base.candidate_set, "added", row.effect, step)
+    ordered = trial_order(base.ranking, base.candidate_set.criteria)
+    refits = [(row.effect, row.refit) for row in ordered if row.refit is not None and not row.failed]
+    for effect, refit in refits[:BESIDE_A_LAW]:
+        step = CandidateFit((*base.step.effects, effect), refit)
+        known = selection_step(base.candidate_set, "added", effect, step)
         missing = estimate_latent_force(base.candidate_set, step, progress).with_laws()
         explanation = _with_exact_law(case, noise, diagnosis, known, missing, progress)
         if explanation is not None:

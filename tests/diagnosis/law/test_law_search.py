@@ -95,6 +95,13 @@ CASES = {
         ),
     ),
     "cable": (law_of(("N", "-0.01 * rotor_angle")), ("N = a * rotor_angle", {"a": (-0.01, "N m/rad")})),
+    "rope between two joints": (
+        law_of(("N", "0.02 * rotor_angle - 0.03 * steering_angle")),
+        (
+            "N = a * rotor_angle + b * steering_angle",
+            {"a": (0.02, "N m/rad"), "b": (-0.03, "N m/rad")},
+        ),
+    ),
     "cable dragged along": (
         law_of(*((side, f"-0.1 * {v} / {_SPEED} * {_DISTANCE}") for side, v in (("X", "u"), ("Y", "w")))),
         (

@@ -76,7 +76,7 @@ class Term(NamedTuple):
 class Family(NamedTuple):
     """A form of law: its `terms` are added; `shape` are the parameters inside them. `name` and `variables` tell it.
 
-    `whole`: without one of its terms it is another form, or none that nature knows.
+    `whole`: without one of its terms it is another form, or depends on where the axes of the cameras are.
     """
 
     name: str
