@@ -55,26 +55,28 @@ ERRORS = np.full(3, 10.0)
 """Mean square errors of whole runs left out without a law."""
 
 
-def fitted_law(name: str, deviance: np.ndarray, mean_square: np.ndarray = ERRORS / 2) -> laws.FittedLaw:
+def fitted_law(
+    name: str, deviance: np.ndarray, mean_square: np.ndarray = ERRORS / 2, effects: tuple[str, ...] = ()
+) -> laws.FittedLaw:
     none: Any = None
-    return laws.FittedLaw(name, none, none, none, deviance, mean_square)
+    linear: Any = SimpleNamespace(point=SimpleNamespace(effects=(*effects, name)))
+    return laws.FittedLaw(name, none, none, linear, deviance, mean_square)
 
 
-def chooser(monkeypatch, proposals: list[laws.Proposal], fitted: Callable[..., Any]) -> Callable[[int], Any]:
+def chooser(monkeypatch, proposals: list[laws.Proposal], fitted: Callable[..., Any]) -> Callable[..., Any]:
     """`choose_law` of so many runs where the segments give `proposals`, and without a law each run has a deviance of
     100; `fitted` stands for the fit of one of them."""
     monkeypatch.setattr(laws, "_fitted", fitted)
     monkeypatch.setattr(laws, "proposed", lambda search, weak: proposals)
-    monkeypatch.setattr(laws, "with_needed_effects", lambda search, linear: linear)
     monkeypatch.setattr(laws, "beside_weaker_force", lambda search, linear: [None])
     plain = SimpleNamespace(deviance=lambda effects: np.full(3, 100.0), mean_square=lambda effects: ERRORS)
     monkeypatch.setattr(laws, "left_out", lambda search, linear: plain)
     search: Any = SimpleNamespace(progress=lambda event: None, criteria=CRITERIA)
     none: Any = None
 
-    def choose_law(runs: int) -> Any:
-        linear: Any = SimpleNamespace(gram=np.zeros((runs, 1, 1)), point=SimpleNamespace(effects=()))
-        return laws.choose_law(none, none, none, search, linear, ())
+    def choose_law(runs: int, effects: tuple[str, ...] = ()) -> Any:
+        linear: Any = SimpleNamespace(gram=np.zeros((runs, 1, 1)), point=SimpleNamespace(effects=effects))
+        return laws.choose_law(none, none, none, search, linear, linear, ())
 
     return choose_law
 
@@ -157,6 +159,40 @@ def test_of_laws_of_other_variables_that_do_as_well_one_is_kept_only_where_it_pr
     choice = chooser(monkeypatch, proposals, fitted)(3)
     assert (choice.law is not None) == kept
     assert choice.undecided == undecided
+
+
+def test_a_law_whose_rival_raises_the_error_of_whole_runs_is_undecided(monkeypatch) -> None:
+    """The rival does as well in steps ahead, so these runs cannot tell which variable acts, though only one of the two
+    lowers the error of whole runs, and not by more than its standard error."""
+    errors = {"first": [9.0, 9.7, 11.0], "second": [10.0, 10.0, 200.0]}
+
+    def fitted(*given: Any) -> laws.FittedLaw:
+        name = given[-1].law.expression
+        return fitted_law(name, np.full(3, 80.0), np.array(errors[name]))
+
+    proposals = [proposal("first", "X", ("x",), 1000.0), proposal("second", "X", ("y",), 1001.0)]
+    choice = chooser(monkeypatch, proposals, fitted)(3)
+    assert choice.law is None and choice.undecided == ("first", "second")
+
+
+@pytest.mark.parametrize(
+    ("deviance", "effects", "kept"),
+    [
+        (98.0, ("drag",), True),  # beside it
+        (98.0, (), False),  # in its place: these runs cannot distinguish the two
+        (96.0, (), True),
+    ],
+)
+def test_a_law_takes_the_place_of_a_known_effect_only_where_runs_distinguish_them(
+    deviance, effects, kept, monkeypatch
+) -> None:
+    """Three blocks of 100 without a law; in all of them the law gains as much."""
+
+    def fitted(*given: Any) -> laws.FittedLaw:
+        return fitted_law(given[-1].law.expression, np.full(3, deviance), effects=effects)
+
+    choose_law = chooser(monkeypatch, [proposal("first", "X", ("x",), 1000.0)], fitted)
+    assert (choose_law(3, ("drag",)).law is not None) == kept
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from snakejax.core.formula import evaluated
-from snakejax.diagnosis.latent_force.piecewise_force import SPACING
 from snakejax.diagnosis.law.grammar import Family, Range, Term, families
+from snakejax.diagnosis.law.knots import KnotFit, hats_at
 from snakejax.diagnosis.law.search import search
 from snakejax.diagnosis.law.units import power, product, unit_text
 from snakejax.diagnosis.law.windows import ForceWindows
@@ -42,15 +42,13 @@ def windows_of(made: Family, seed: int = 1, noise: float = 1.0) -> ForceWindows:
     rng = np.random.default_rng(seed)
     own = moving(rng)
     W = len(own["time"])
-    first = own["time"][:, :1]
-    hats = np.maximum(1 - np.abs((own["time"] - first)[:, :, None] / SPACING - np.arange(KNOTS)), 0.0)
-    knot_projection = np.linalg.solve(hats.transpose(0, 2, 1) @ hats + 1e-6 * np.eye(KNOTS), hats.transpose(0, 2, 1))
+    onto_knots = KnotFit.of(np.array([hats_at(times, times[0], KNOTS) for times in own["time"]]))
     variables = {name: np.stack([part] * 2) for name, part in own.items() if name != "theta"}
     zeros = np.zeros((W, PARAMETERS + 5 * KNOTS, PARAMETERS + 5 * KNOTS))
     owner, size = np.repeat(np.arange(RUNS), OF_RUN), np.zeros(PARAMETERS)
     square = np.zeros(RUNS)
     normal_equations = (zeros, zeros[:, 0], square, owner, size, size)
-    bare = ForceWindows(variables, (), knot_projection, *normal_equations, own["theta"], W * 150)
+    bare = ForceWindows(variables, (), onto_knots, *normal_equations, own["theta"], W * 150)
     history = bare.histories(made, {})[0].sum(axis=0)
     H = rng.normal(size=(W, 150, PARAMETERS + 5 * KNOTS))
     data = np.einsum("wij,wj->wi", H[:, :, PARAMETERS:], history) * 30 + noise * rng.normal(size=(W, 150))

@@ -85,20 +85,26 @@ class LawChoice(NamedTuple):
 
 
 def choose_law(
-    case: Case, noise: Noise, candidate_set: CandidateSet, search: Search, linear: Linear, base: Sequence[str]
+    case: Case,
+    noise: Noise,
+    candidate_set: CandidateSet,
+    search: Search,
+    linear: Linear,
+    needed: Linear,
+    base: Sequence[str],
 ) -> LawChoice:
-    """The law that predicts train runs left out best.
+    """The law beside the effects of `needed` that predicts train runs left out best; see `with_needed_effects`.
 
     Of laws that do not differ by `distinct_chi2` from the best, see `preferred`. There is none where no law predicts
     them better than `linear` does, each under its own random force, by more than the standard error; or where there is
-    but one run. A law that raises the error of whole runs left out is not kept: beside a random force it may follow
-    each run better, and lead a simulation astray. Where laws of other variables do as well, it is not known which is
-    right, and a wrong one may do harm in other motions: there it must lower that error by more than the standard error.
+    but one run; nor where it takes the place of a known effect and these runs cannot distinguish the two. A law that
+    raises the error of whole runs left out is not kept: beside a random force it may follow each run better, and lead a
+    simulation astray. Where laws of other variables do as well, it is not known which is right, and a wrong one may do
+    harm in other motions: there it must lower that error by more than the standard error.
     """
     if len(linear.gram) < 2:
         return LawChoice()
     search.progress(ProgressEvent(Phase.LAW_SEARCH))
-    needed = with_needed_effects(search, linear)
     ordered = distinct([one for weak in beside_weaker_force(search, needed) for one in proposed(search, weak)])
     before, effects = left_out(search, linear), linear.point.effects
     whole = before.mean_square(effects)
@@ -106,14 +112,17 @@ def choose_law(
     for one in near(ordered, search.criteria.distinct_chi2):
         search.progress(ProgressEvent(Phase.LAW_FIT, f"fitting {one.law.expression} together with a random force"))
         with_one = _fitted(case, noise, candidate_set, search, base, one)
-        if with_one is not None and with_one.mean_square.sum() < whole.sum():
+        if with_one is not None:
             fitted.append((one, with_one))
-    if not fitted:
-        return LawChoice()
-    most = min(with_one.deviance.sum() for _, with_one in fitted) + search.criteria.distinct_chi2
+    most = min((with_one.deviance.sum() for _, with_one in fitted), default=0.0) + search.criteria.distinct_chi2
     as_good = [pair for pair in fitted if pair[1].deviance.sum() < most]
-    proposal, best = preferred(as_good)
-    if not Gain(before.deviance(effects) - best.deviance, 0.0).exceeds_standard_error:
+    predicting = [pair for pair in as_good if pair[1].mean_square.sum() < whole.sum()]
+    if not predicting:
+        return LawChoice()
+    proposal, best = preferred(predicting)
+    gain = Gain(before.deviance(effects) - best.deviance, 0.0)
+    displaced = set(effects) - set(best.linear.point.effects)
+    if not gain.exceeds_standard_error or (displaced and gain.by_part.sum() < search.criteria.distinct_chi2):
         return LawChoice()
     rivals = tuple(one.law.expression for one, _ in as_good if one.subject != proposal.subject)
     if rivals and not Gain(whole - best.mean_square, 0.0).exceeds_standard_error:

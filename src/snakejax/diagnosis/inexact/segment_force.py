@@ -21,6 +21,7 @@ from snakejax.estimation.discrepancy.kalman import SegmentData, gram_matrices
 from snakejax.estimation.discrepancy.segments import BODY, FORCE, Segments
 
 from ..latent_force.force_sensitivity import MotionSamples, motion_samples
+from ..law.knots import KnotMeans
 from ..law.windows import FINEST, ForceWindows, variables_of
 from .search import Linear, Search
 
@@ -102,15 +103,14 @@ def force_windows(search: Search, linear: Linear) -> ForceWindows:
     def arranged(values: np.ndarray) -> np.ndarray:
         return values[rows][:, :, pick].reshape(len(rows), -1)
 
-    mean = np.kron(np.eye(K), np.full((1, len(pick)), 1 / len(pick)))
-    knot_projection = np.array([mean * (np.arange(K) < length)[:, None] for _, _, length in places])
+    inside = np.array([np.arange(K) < length for _, _, length in places], float)
     ratio = segments.force_ratio(point.values)
     grams = np.array(list(_grams(linear, places, rows, grip, ratio, free, K)))
     owner = np.array([run for run, _, _ in places])
     prior = search.prior_at(point.values)
     return ForceWindows(
         *variables_of(track, arranged),
-        knot_projection,
+        KnotMeans(inside),
         grams[:, 1:, 1:],
         grams[:, 1:, 0],
         np.bincount(owner, grams[:, 0, 0]),

@@ -11,6 +11,7 @@ from ..latent_force.estimate import ForceEstimator, ForceSolution
 from ..latent_force.force_sensitivity import MotionSamples
 from ..latent_force.piecewise_force import SPACING
 from .grammar import Family, Range
+from .knots import KnotFit, KnotMeans, hats_at
 
 FINEST = 0.02
 """Samples nearer to each other [s] are left out: the knots of the force are five times as far apart."""
@@ -43,14 +44,14 @@ class Fitted(NamedTuple):
 
 class ForceWindows(NamedTuple):
     """W windows at n samples with K knots: `variables` (2, W, n) for the wheels ahead of the middle and behind it;
-    `knot_projection` (W, K, n), the least squares onto the knots; per window the normal equations `matrix`
-    (W, P + 5K, P + 5K), `right` of parameters, force knots and grip knots; `square` (R,); `owner` (W,): the run;
-    `prior_mean` and `precision` (P,) of the parameters; `theta` (W, n). `beside`: the parameters beside a law are those
-    of all runs, and only the law is fitted anew where a run is left out."""
+    `onto_knots`: the knots of a history (G, W, n); per window the normal equations `matrix` (W, P + 5K, P + 5K),
+    `right` of parameters, force knots and grip knots; `square` (R,); `owner` (W,): the run; `prior_mean` and
+    `precision` (P,) of the parameters; `theta` (W, n). `beside`: the parameters beside a law are those of all runs, and
+    only the law is fitted anew where a run is left out."""
 
     variables: dict[str, np.ndarray]
     wheel: tuple[str, ...]
-    knot_projection: np.ndarray
+    onto_knots: KnotFit | KnotMeans
     matrix: np.ndarray
     right: np.ndarray
     square: np.ndarray
@@ -67,12 +68,10 @@ class ForceWindows(NamedTuple):
         track, K = solution.linearised.track, estimator.knots
         spacing = float(np.median(np.diff(track.time[0])))
         pick = slice(None, None, max(1, int(FINEST / spacing + 1e-6)))
-        knot_projection, matrix, right, square = [], [], [], np.zeros(len(estimator.runs))
+        every_hat, matrix, right, square = [], [], [], np.zeros(len(estimator.runs))
         for k, window in enumerate(solution.windows):
             first = estimator.began[estimator.owner[k]] + SPACING * estimator.first[k]
-            hats = np.maximum(1 - np.abs((track.time[k][pick, None] - first) / SPACING - np.arange(K)), 0.0)
-            # One that no sample touches stays at zero.
-            knot_projection.append(np.linalg.solve(hats.T @ hats + 1e-6 * np.eye(K), hats.T))
+            every_hat.append(hats_at(track.time[k][pick], first, K))
             H = np.concatenate([window.parameters, window.force, window.grip], axis=1)
             matrix.append(H.T @ H)
             right.append(H.T @ window.data)
@@ -80,7 +79,13 @@ class ForceWindows(NamedTuple):
         variables, wheel = variables_of(track, lambda values: values[:, pick])
         prior_mean, precision = estimator.typical(solution.point.values)
         count = int((np.asarray(estimator.batch.weight) > 0).sum() - np.asarray(estimator.batch.free_start).sum())
-        whole = (np.array(knot_projection), np.array(matrix), np.array(right), square, np.asarray(estimator.owner))
+        whole = (
+            KnotFit.of(np.array(every_hat)),
+            np.array(matrix),
+            np.array(right),
+            square,
+            np.asarray(estimator.owner),
+        )
         return ForceWindows(variables, wheel, *whole, prior_mean, precision, track.theta[:, pick], count)
 
     def ranges(self) -> dict[str, Range]:
@@ -92,7 +97,7 @@ class ForceWindows(NamedTuple):
         """The knots (G, T, W, 5K) of each term at G values of the `shape`: force knot by knot, then grip."""
         G = max((len(values) for values in shape.values()), default=1)
         wide = {name: np.asarray(values)[:, None, None] for name, values in shape.items()}
-        W, K, n = self.knot_projection.shape
+        (W, n), K = self.theta.shape, self.onto_knots.knots
         c, s = np.cos(self.theta), np.sin(self.theta)
         knots = np.zeros((G, len(family.terms), W, 5 * K))
         for t, term in enumerate(family.terms):
@@ -103,7 +108,7 @@ class ForceWindows(NamedTuple):
                     known = {name: values[side] for name, values in self.variables.items()} | wide
                     value = np.broadcast_to(evaluated(tree, known, np), (G, W, n))
                     if component == "grip":
-                        knots[:, t, :, 3 * K + side :: 2] = self._knots(value)
+                        knots[:, t, :, 3 * K + side :: 2] = self.onto_knots(value)
                     else:
                         wrench[component] = value
             east, north = wrench.get("east", 0.0), wrench.get("north", 0.0)
@@ -111,12 +116,8 @@ class ForceWindows(NamedTuple):
             for k, name in enumerate(("X", "Y", "N")):
                 total = along[k] + wrench.get(name, 0.0)
                 if isinstance(total, np.ndarray):
-                    knots[:, t, :, k : 3 * K : 3] = self._knots(total)
+                    knots[:, t, :, k : 3 * K : 3] = self.onto_knots(total)
         return knots
-
-    def _knots(self, values: np.ndarray) -> np.ndarray:
-        """The knots (G, W, K) of a history that has the `values` (G, W, n) at the samples."""
-        return (values.swapaxes(0, 1) @ self.knot_projection.swapaxes(1, 2)).swapaxes(0, 1)
 
     def normal(self, histories: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The normal equations (R, G, P + T, P + T) and (R, G, P + T) of parameters and amplitudes, run by run."""
