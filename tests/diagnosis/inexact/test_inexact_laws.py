@@ -68,6 +68,7 @@ def chooser(monkeypatch, proposals: list[laws.Proposal], fitted: Callable[..., A
     100; `fitted` stands for the fit of one of them."""
     monkeypatch.setattr(laws, "_fitted", fitted)
     monkeypatch.setattr(laws, "proposed", lambda search, weak: proposals)
+    monkeypatch.setattr(laws, "with_needed_effects", lambda search, linear: linear)
     monkeypatch.setattr(laws, "beside_weaker_force", lambda search, linear: [None])
     plain = SimpleNamespace(deviance=lambda effects: np.full(3, 100.0), mean_square=lambda effects: ERRORS)
     monkeypatch.setattr(laws, "left_out", lambda search, linear: plain)
@@ -76,7 +77,7 @@ def chooser(monkeypatch, proposals: list[laws.Proposal], fitted: Callable[..., A
 
     def choose_law(runs: int, effects: tuple[str, ...] = ()) -> Any:
         linear: Any = SimpleNamespace(gram=np.zeros((runs, 1, 1)), point=SimpleNamespace(effects=effects))
-        return laws.choose_law(none, none, none, search, linear, linear, ())
+        return laws.choose_law(none, none, none, search, linear, ())
 
     return choose_law
 

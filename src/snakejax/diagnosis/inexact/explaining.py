@@ -18,7 +18,7 @@ from ..selection.steps import SelectionStep
 from .assessment import Assessment, assess
 from .candidate_model import candidate_model, movable_parameters
 from .evidence import model_evidence
-from .laws import LawChoice, choose_law, with_needed_effects
+from .laws import LawChoice, choose_law
 from .left_out import with_predicting_effects
 from .revision import search_effects
 from .search import Search
@@ -49,11 +49,8 @@ def assess_effects(
     search = Search(segments, priors, scales, candidate_set.criteria, progress)
     linear = with_predicting_effects(search, search_effects(search))
     choice = LawChoice()
-    evidence = model_evidence(search, linear)
-    # Where several effects stand in for a law, they may leave no random force.
-    needed = linear if evidence.exact else with_needed_effects(search, linear)
-    if evidence.has_force or (needed is not linear and model_evidence(search, needed).has_force):
-        choice = choose_law(case, noise, candidate_set, search, linear, needed, base)
+    if model_evidence(search, linear).has_force:
+        choice = choose_law(case, noise, candidate_set, search, linear, base)
     laws: dict[str, tuple[str, ...]] = {}
     if choice.law is not None:
         candidate_set, search, linear = choice.law.candidate_set, choice.law.search, choice.law.linear

@@ -85,15 +85,9 @@ class LawChoice(NamedTuple):
 
 
 def choose_law(
-    case: Case,
-    noise: Noise,
-    candidate_set: CandidateSet,
-    search: Search,
-    linear: Linear,
-    needed: Linear,
-    base: Sequence[str],
+    case: Case, noise: Noise, candidate_set: CandidateSet, search: Search, linear: Linear, base: Sequence[str]
 ) -> LawChoice:
-    """The law beside the effects of `needed` that predicts train runs left out best; see `with_needed_effects`.
+    """The law that predicts train runs left out best.
 
     Of laws that do not differ by `distinct_chi2` from the best, see `preferred`. There is none where no law predicts
     them better than `linear` does, each under its own random force, by more than the standard error; or where there is
@@ -105,6 +99,7 @@ def choose_law(
     if len(linear.gram) < 2:
         return LawChoice()
     search.progress(ProgressEvent(Phase.LAW_SEARCH))
+    needed = with_needed_effects(search, linear)
     ordered = distinct([one for weak in beside_weaker_force(search, needed) for one in proposed(search, weak)])
     before, effects = left_out(search, linear), linear.point.effects
     whole = before.mean_square(effects)
