@@ -11,6 +11,7 @@ from scipy import stats
 
 from snakejax.diagnosis.inexact import confidence as sureness
 from snakejax.diagnosis.inexact import laws
+from snakejax.diagnosis.inexact.fitted_law import FittedLaw, Proposal
 from snakejax.diagnosis.inexact.subsets import Subsets, choose
 from snakejax.diagnosis.law.grammar import Family, Term
 from snakejax.diagnosis.law.search import ProposedLaw
@@ -45,10 +46,10 @@ def test_the_best_of_many_forms_is_taken_by_chance_as_often_as_the_level_says() 
     assert choose(best_of_forms(1, size=9.0), []) == ["law_1"]
 
 
-def proposal(expression: str, action: str, variables: tuple[str, ...], penalised: float) -> laws.Proposal:
+def proposal(expression: str, action: str, variables: tuple[str, ...], penalised: float) -> Proposal:
     family, none = Family("", action, variables, (Term("a", {}, ((action, expression),)),)), np.zeros(0)
     law = ProposedLaw(expression, (), {}, family, none, 1.0, penalised, none)
-    return laws.Proposal(None, law, 1, penalised)  # type: ignore[arg-type]
+    return Proposal(None, law, 1, penalised)  # type: ignore[arg-type]
 
 
 ERRORS = np.full(3, 10.0)
@@ -56,17 +57,20 @@ ERRORS = np.full(3, 10.0)
 
 
 def fitted_law(
-    name: str, deviance: np.ndarray, mean_square: np.ndarray = ERRORS / 2, effects: tuple[str, ...] = ()
-) -> laws.FittedLaw:
+    one: Proposal, deviance: np.ndarray, mean_square: np.ndarray = ERRORS / 2, effects: tuple[str, ...] = ()
+) -> FittedLaw:
+    """The law of a proposal, called as its expression."""
     none: Any = None
+    name = one.law.expression
     linear: Any = SimpleNamespace(point=SimpleNamespace(effects=(*effects, name)))
-    return laws.FittedLaw(name, none, none, linear, deviance, mean_square)
+    return FittedLaw(name, one, none, none, linear, deviance, mean_square)
 
 
-def chooser(monkeypatch, proposals: list[laws.Proposal], fitted: Callable[..., Any]) -> Callable[..., Any]:
+def chooser(monkeypatch, proposals: list[Proposal], fitted: Callable[..., Any]) -> Callable[..., Any]:
     """`choose_law` of so many runs where the segments give `proposals`, and without a law each run has a deviance of
     100; `fitted` stands for the fit of one of them."""
-    monkeypatch.setattr(laws, "_fitted", fitted)
+    monkeypatch.setattr(laws, "fit_law", fitted)
+    monkeypatch.setattr(laws, "without_idle_terms", lambda *given: given[-1])
     monkeypatch.setattr(laws, "proposed", lambda search, weak: proposals)
     monkeypatch.setattr(laws, "with_needed_effects", lambda search, linear: linear)
     monkeypatch.setattr(laws, "beside_weaker_force", lambda search, linear: [None])
@@ -123,13 +127,13 @@ def test_of_laws_that_do_as_well_the_one_that_predicts_runs_left_out_best_is_kep
         proposal("third", "X", ("x",), 1001.0),
     ]
 
-    def fitted(*given: Any) -> laws.FittedLaw | None:
+    def fitted(*given: Any) -> FittedLaw | None:
         name = given[-1].law.expression
         deviance = deviances[name]
         if deviance is None:
             return None
         blocks = deviance * np.array([1.0, 1.01, 0.99])
-        return fitted_law(name, blocks)
+        return fitted_law(given[-1], blocks)
 
     choose_law = chooser(monkeypatch, found, fitted)
     got = choose_law(3).law
@@ -153,8 +157,8 @@ def test_of_laws_of_other_variables_that_do_as_well_one_is_kept_only_where_it_pr
 ) -> None:
     """`after`: the mean square errors of whole runs left out with the first law, 10 each without."""
 
-    def fitted(*given: Any) -> laws.FittedLaw:
-        return fitted_law(given[-1].law.expression, np.full(3, 80.0), np.array(after))
+    def fitted(*given: Any) -> FittedLaw:
+        return fitted_law(given[-1], np.full(3, 80.0), np.array(after))
 
     proposals = [proposal("first", "X", ("x",), 1000.0), proposal("second", "X", (subject,), 1001.0)]
     choice = chooser(monkeypatch, proposals, fitted)(3)
@@ -167,9 +171,9 @@ def test_a_law_whose_rival_raises_the_error_of_whole_runs_is_undecided(monkeypat
     lowers the error of whole runs, and not by more than its standard error."""
     errors = {"first": [9.0, 9.7, 11.0], "second": [10.0, 10.0, 200.0]}
 
-    def fitted(*given: Any) -> laws.FittedLaw:
+    def fitted(*given: Any) -> FittedLaw:
         name = given[-1].law.expression
-        return fitted_law(name, np.full(3, 80.0), np.array(errors[name]))
+        return fitted_law(given[-1], np.full(3, 80.0), np.array(errors[name]))
 
     proposals = [proposal("first", "X", ("x",), 1000.0), proposal("second", "X", ("y",), 1001.0)]
     choice = chooser(monkeypatch, proposals, fitted)(3)
@@ -189,8 +193,8 @@ def test_a_law_takes_the_place_of_a_known_effect_only_where_runs_distinguish_the
 ) -> None:
     """Three blocks of 100 without a law; in all of them the law gains as much."""
 
-    def fitted(*given: Any) -> laws.FittedLaw:
-        return fitted_law(given[-1].law.expression, np.full(3, deviance), effects=effects)
+    def fitted(*given: Any) -> FittedLaw:
+        return fitted_law(given[-1], np.full(3, deviance), effects=effects)
 
     choose_law = chooser(monkeypatch, [proposal("first", "X", ("x",), 1000.0)], fitted)
     assert (choose_law(3, ("drag",)).law is not None) == kept
@@ -215,11 +219,11 @@ def test_of_laws_that_cannot_be_distinguished_the_one_with_fewer_parameters_is_k
     rich = one._replace(law=one.law._replace(parameters=parts))
     simple = other._replace(law=other.law._replace(parameters=parts[:1]))
 
-    def fitted(*given: Any) -> laws.FittedLaw:
+    def fitted(*given: Any) -> FittedLaw:
         name = given[-1].law.expression
         if name == "rich":
-            return fitted_law(name, np.full(3, 80.0), np.array(whole))
-        return fitted_law(name, np.full(3, 80.0 + simpler / 3))
+            return fitted_law(given[-1], np.full(3, 80.0), np.array(whole))
+        return fitted_law(given[-1], np.full(3, 80.0 + simpler / 3))
 
     choose_law = chooser(monkeypatch, [rich, simple], fitted)
     got = choose_law(3).law
