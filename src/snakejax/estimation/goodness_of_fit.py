@@ -101,15 +101,15 @@ def pooled_score(scores: Sequence[RunScore]) -> Score:
     )
 
 
-def largest_noise_misfit(samples: int, estimated_parameters: float = 0) -> float:
-    """The largest misfit under noise alone: (d + NOISE_SIGMAS sqrt(2 d)) / N with d = N - `estimated_parameters`.
+def largest_noise_misfit(samples: int, estimated_parameters: float = 0, sigmas: float = NOISE_SIGMAS) -> float:
+    """The largest misfit under noise alone: (d + `sigmas` sqrt(2 d)) / N with d = N - `estimated_parameters`.
 
     N is the number of `samples`; N times the misfit follows chi^2 with d degrees of freedom.
     """
     dof = max(samples - estimated_parameters, 1.0)
-    return float((dof + NOISE_SIGMAS * np.sqrt(2 * dof)) / samples)
+    return float((dof + sigmas * np.sqrt(2 * dof)) / samples)
 
 
-def consistent_with_noise(solution: Solution) -> bool:
+def consistent_with_noise(solution: Solution, sigmas: float = NOISE_SIGMAS) -> bool:
     """Whether the misfit is at most the largest that noise alone leaves."""
-    return bool(solution.misfit <= largest_noise_misfit(solution.samples, len(solution.loose)))
+    return bool(solution.misfit <= largest_noise_misfit(solution.samples, len(solution.loose), sigmas))

@@ -12,6 +12,7 @@ from snakejax.diagnosis.law import adding
 from snakejax.diagnosis.law.grammar import Family
 from snakejax.diagnosis.law.search import ProposedLaw
 from snakejax.diagnosis.selection.criteria import CRITERIA
+from snakejax.dynamics.law import LawParameter
 
 
 def step(misfit: float) -> Any:
@@ -91,6 +92,18 @@ def test_a_new_law_takes_no_name_of_the_model() -> None:
     assert adding.law_names(3, like) == ("law_2", "law_4", "law_5")
 
 
+@pytest.mark.parametrize(("misfit", "simple"), [(1.0208, True), (1.0210, False)])
+def test_of_laws_that_leave_only_noise_a_simpler_one_comes_first_if_chi_squared_does_not_tell(misfit, simple) -> None:
+    """The one with two parameters leaves 1.02 of 10 000 samples."""
+
+    def added(count: int, left: float) -> adding.AddedLaws:
+        law = proposed(("x",), 0.9)._replace(parameters=tuple(LawParameter(name, "N") for name in "ab"[:count]))
+        fit: Any = SimpleNamespace(solution=SimpleNamespace(misfit=left, samples=10_000))
+        return adding.AddedLaws((law,), cast(Any, None), fit, np.ones(0))
+
+    assert adding.likeliest([added(2, 1.02), added(1, misfit)]).size == (1 if simple else 2)
+
+
 @pytest.mark.parametrize(
     ("left_out", "misfits", "fitted", "exact"),
     [
@@ -98,6 +111,8 @@ def test_a_new_law_takes_no_name_of_the_model() -> None:
         ((1.0, 1.001), (1.5, 1.0), ["x", "y"], "y"),
         ((1.0, 1.2), (1.5,), ["x"], None),
         ((1.1, 1.2), (), [], None),
+        ((1.0, 1.001), (1.04, 1.0), ["x", "y"], "y"),  # noise may leave 1.04, but a chi^2 of 400 tells them apart
+        ((1.0, 1.001), (1.04, 1.05), ["x", "y"], "x"),
     ],
 )
 def test_an_exact_law_leaves_only_noise_in_windows_and_in_whole_runs(

@@ -23,7 +23,7 @@ from ..selection.acceptance import accept_addition
 from ..selection.candidates import BaseFit, CandidateFit, CandidateSet
 from ..selection.refit import CRAWL, refit
 from ..selection.working_step import WorkingStep
-from .search import ProposedLaw, search
+from .search import FEWEST_CHI2, ProposedLaw, search
 
 TRIED = 3
 """So many of the laws that the windows propose are fitted to whole runs."""
@@ -48,6 +48,21 @@ class AddedLaws(NamedTuple):
     def names(self) -> tuple[str, ...]:
         """The names of the laws as effects."""
         return self.fit.effects[-len(self.laws) :]
+
+    @property
+    def chi2(self) -> float:
+        """chi^2 of whole train runs."""
+        return self.fit.solution.misfit * self.fit.solution.samples
+
+    @property
+    def size(self) -> int:
+        """Parameters of the laws."""
+        return sum(len(law.parameters) for law in self.laws)
+
+    @property
+    def leaves_nothing(self) -> bool:
+        """Whether the misfit is that of noise within its standard deviation, so that no other law is needed."""
+        return consistent_with_noise(self.fit.solution, sigmas=1.0)
 
 
 def law_names(count: int, like: CandidateSet) -> tuple[str, ...]:
@@ -176,13 +191,16 @@ def best_laws(
         progress(ProgressEvent(Phase.PREDICTION, f"does {texts} predict omitted runs?"))
         return AddedLaws(laws, candidate_set, fit, left_out_misfits(candidate_set, fit))
 
-    best = None
+    trials: list[AddedLaws] = []
     for law in rivals_of(missing.laws):
         trial = added((law,))
-        if trial is not None and (best is None or trial.left_out.mean() < best.left_out.mean()):
-            best = trial
-        if best is not None and consistent_with_noise(best.fit.solution):
-            return [best]
+        trials += [] if trial is None else [trial]
+        if trial is not None and trial.leaves_nothing:
+            break
+    exact = [trial for trial in trials if consistent_with_noise(trial.fit.solution)]
+    if exact:
+        return [likeliest(exact)]
+    best = min(trials, key=lambda trial: trial.left_out.mean(), default=None)
     if best is None:
         return []
     second = _second(missing, best.laws[0], progress)
@@ -196,12 +214,13 @@ def best_laws(
 def exact_law(
     case: Case, noise: Noise, like: WorkingStep, missing: LatentForce, progress: Progress
 ) -> AddedLaws | None:
-    """The first law of `missing` with which whole train runs leave only noise, added to `like`; None without one.
+    """The likeliest law of `missing` with which whole train runs leave only noise, added to `like`; None without one.
 
     Only laws are fitted that leave only noise in the windows of runs left out.
     """
     if missing.windows is None:
         return None
+    found: list[AddedLaws] = []
     most = largest_noise_misfit(missing.windows.samples)
     for law in [law for law in missing.laws if law.left_out <= most][:TRIED]:
         progress(ProgressEvent(Phase.LAW_FIT, f"fitting {law.expression} to whole runs"))
@@ -210,9 +229,17 @@ def exact_law(
         except FitError:
             continue
         exact = _leaving_only_noise(like, (law,), candidate_set, fit)
-        if exact is not None:
-            return exact
-    return None
+        found += [] if exact is None else [exact]
+        if exact is not None and exact.leaves_nothing:
+            break
+    return likeliest(found) if found else None
+
+
+def likeliest(found: Sequence[AddedLaws]) -> AddedLaws:
+    """Of laws that leave only noise that with the least chi^2, or the one with the fewest parameters of those that do
+    not differ from it by `FEWEST_CHI2`: of many samples noise may vary by more than what tells a law from another."""
+    least = min(one.chi2 for one in found)
+    return min((one for one in found if one.chi2 - least < FEWEST_CHI2), key=lambda one: (one.size, one.chi2))
 
 
 def _leaving_only_noise(
