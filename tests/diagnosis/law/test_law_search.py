@@ -128,6 +128,22 @@ def test_the_law_that_made_the_force_comes_first(name: str) -> None:
     assert first.left_out < 1.05 and first.share > 0.95
 
 
+def test_a_parameter_that_moves_nothing_hides_no_law() -> None:
+    """Beside it the regression gives what it gives without it."""
+    made, _ = CASES["cable"]
+    windows = windows_of(made)
+    history = windows.histories(made, {})
+    matrix, right = windows.matrix.copy(), windows.right.copy()
+    matrix[:, 0] = matrix[:, :, 0] = right[:, 0] = 0.0
+    idle = windows._replace(matrix=matrix, right=right)
+    rest = idle._replace(matrix=matrix[:, 1:, 1:], right=right[:, 1:], prior_mean=np.zeros(1), precision=np.zeros(1))
+    with np.errstate(all="raise"):
+        beside, without = idle.fitted(history), rest.fitted(history)
+    np.testing.assert_allclose(beside.left_out, without.left_out, rtol=1e-9)
+    np.testing.assert_allclose(beside.amplitudes, without.amplitudes, rtol=1e-9)
+    assert beside.steps[0, 0] == 0
+
+
 @pytest.mark.slow
 def test_noise_has_no_law() -> None:
     assert search(windows_of(law_of(("X", "0 * x")))) == ()

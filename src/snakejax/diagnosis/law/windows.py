@@ -163,5 +163,7 @@ class ForceWindows(NamedTuple):
         full[:, :P] += self.precision * self.prior_mean
         A = matrix + np.einsum("gi,ij->gij", ridge, np.eye(ridge.shape[1]))
         size = np.sqrt(np.einsum("gii->gi", A))
+        # A parameter that moves nothing and has no prior stays where it is.
+        size = np.where(size > 0, size, 1.0)
         scaled = A / (size[:, :, None] * size[:, None, :]) + 1e-12 * np.eye(A.shape[1])
         return np.linalg.solve(scaled, (full / size)[..., None])[..., 0] / size
