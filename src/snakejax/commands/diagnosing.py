@@ -20,6 +20,7 @@ from snakejax.dynamics.ports import Effect
 from snakejax.estimation.initial_model import default_free
 from snakejax.estimation.joint_logs.fitting import with_estimated_logs
 from snakejax.recording.case import structures_of
+from snakejax.recording.fewer_windows import with_fewer_windows
 from snakejax.recording.quality import noise_of
 from snakejax.recording.run import Case, Noise
 
@@ -35,11 +36,12 @@ class ExplainOptions(FitOptions, total=False):
     """The options of `diagnose` and `explain`: those of `fit` for the base, and its candidates.
 
     `effect`: candidates beside the built-in ones: "FILE.py:Class", classes, or effects with the values to start from;
-    `without`: names of effects that are no candidates.
+    `without`: names of effects that are no candidates; `quick`: take a tenth of the windows of each recording.
     """
 
     effect: EffectArguments | None
     without: str | Iterable[str] | None
+    quick: bool
 
 
 class Question(NamedTuple):
@@ -51,7 +53,7 @@ class Question(NamedTuple):
     options: DiagnosisOptions
 
 
-@takes(ExplainOptions, as_recorded=False, progress=no_progress)
+@takes(ExplainOptions, as_recorded=False, quick=False, progress=no_progress)
 def diagnose(case: Case | Path | str, **options: Unpack[ExplainOptions]) -> Diagnosis:
     """Rank the effects that may be missing, without adding any, as `snakejax diagnose` does.
 
@@ -63,6 +65,7 @@ def diagnose(case: Case | Path | str, **options: Unpack[ExplainOptions]) -> Diag
 
 def diagnose_case(case: Case, options: ExplainOptions) -> Diagnosis:
     """The diagnosis of an inspected `case`. **Raises:** as `fit`."""
+    case = with_fewer_windows(case) if options.get("quick") else case
     question = question_of(case, options)
     if windows.supports(case):
         return windows.diagnose_windows(case, question.noise, question.library, **question.options)
@@ -71,7 +74,7 @@ def diagnose_case(case: Case, options: ExplainOptions) -> Diagnosis:
     return diagnosed(logged, question.noise, question.library, **question.options)
 
 
-@takes(ExplainOptions, as_recorded=False, progress=no_progress)
+@takes(ExplainOptions, as_recorded=False, quick=False, progress=no_progress)
 def explain(case: Case | Path | str, **options: Unpack[ExplainOptions]) -> Explanation:
     """Find out which effects the recordings of `case` show beyond the base model, as `snakejax explain` does.
 
@@ -86,6 +89,7 @@ def explain_case(case: Case, options: ExplainOptions) -> Explanation:
     if key := options.get("by"):
         what = f"`explain` does not search for differences by {key}"
         raise InputError(what, f"{BY} {key}", "rank what differs with `snakejax diagnose`, estimate it with `fit`")
+    case = with_fewer_windows(case) if options.get("quick") else case
     question = question_of(case, options)
     return explained(case, question.noise, question.library, **question.options)
 

@@ -1,11 +1,15 @@
 """What options may hold."""
 
+from pathlib import Path
+
 import pytest
 
 from snakejax.commands.cli.design import effects_of
-from snakejax.commands.cli.main import parser, prepared
+from snakejax.commands.cli.main import main, parser, prepared
 from snakejax.commands.cli.options import given, varied
 from snakejax.core.errors import InputError
+
+CASE = Path(__file__).resolve().parents[3] / "data" / "tilted-floor"
 
 
 @pytest.mark.parametrize("text", ["D", "D=1:2", "D=1:2:one", "D=2:1:5", "=1:2:3", "D=1:2:1", "D=nan:2:3"])
@@ -28,3 +32,11 @@ def test_robust_takes_no_case_for_its_number(case) -> None:
 def test_a_zero_that_was_given_is_recorded() -> None:
     options = parser().parse_args(["simulate", "paper-gait1", "--camber", "0"])
     assert given(options)["camber"] == 0.0
+
+
+@pytest.mark.parametrize("command", ["diagnose", "explain"])
+def test_a_tenth_of_whole_recordings_is_refused(command, capsys) -> None:
+    """Before anything is fitted."""
+    assert main([command, str(CASE), "--quick"]) == 2
+    told = " ".join(capsys.readouterr().err.split())
+    assert "option --quick" in told and "whole recording" in told

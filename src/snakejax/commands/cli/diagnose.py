@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from snakejax.core.progress import Phase, Progress, ProgressEvent
+from snakejax.core.tabular import counted
 
 from .options import (
     add_candidates,
@@ -13,6 +14,7 @@ from .options import (
     add_fitting,
     add_model,
     add_output,
+    add_quick,
     effect_spec,
     given,
     model_options,
@@ -36,6 +38,7 @@ def add(commands: Any) -> None:
     add_model(command, candidates=True)
     add_fitting(command)
     add_candidates(command)
+    add_quick(command)
     add_output(command)
 
 
@@ -69,7 +72,16 @@ def work(options: argparse.Namespace, case: Any, say: Progress) -> Outcome:
         plot.save(plot.ranking(base), folder, "diagnose-ranking")
         plot.save(plot.confusability(base), folder, "diagnose-confusability")
 
-    return Outcome(result, diagnosis_text(case, base), write)
+    return Outcome(result, of_all(options, case, diagnosis_text(case, base)), write)
+
+
+def of_all(options: argparse.Namespace, case: Any, text: Any) -> Any:
+    """`text`, with a first line on how many windows it rests, where these are a tenth of all."""
+    if not options.quick:
+        return text
+    from rich.console import Group
+
+    return Group(f"A first look at {counted(len(case.runs), 'window')}, a tenth of all. Without --quick: all.", text)
 
 
 def explain_options(options: argparse.Namespace, say: Progress) -> Any:
@@ -80,4 +92,4 @@ def explain_options(options: argparse.Namespace, say: Progress) -> Any:
     own = {effect_spec(text).name: text for text in options.effect or ()}
     with_ = [own.get(text, text) for text in options.with_ or ()]
     effect_options = {"with_": with_, "effect": options.effect, "without": options.without, "progress": say}
-    return {**model_options(options), **effect_options}
+    return {**model_options(options), **effect_options, "quick": options.quick}

@@ -12,9 +12,19 @@ from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
 from snakejax.core.tabular import counted
 
 from .animation import add_films, films, require_films
-from .diagnose import explain_options
+from .diagnose import explain_options, of_all
 from .exit_status import DONE
-from .options import add_candidates, add_cases, add_command, add_fitting, add_model, add_output, given, threshold
+from .options import (
+    add_candidates,
+    add_cases,
+    add_command,
+    add_fitting,
+    add_model,
+    add_output,
+    add_quick,
+    given,
+    threshold,
+)
 from .pipeline import Outcome, Stopwatch, each_case
 
 KEPT = "unfinished"
@@ -37,6 +47,7 @@ def add(commands: Any) -> None:
     add_model(command, candidates=True)
     add_fitting(command)
     add_candidates(command)
+    add_quick(command)
     command.add_argument("--plan", action="store_true", help="print what would be tried, and fit nothing")
     add_output(command)
     add_films(command)
@@ -132,4 +143,4 @@ def work(options: argparse.Namespace, case: Any, say: Progress) -> Outcome:
         if explanation.missing.shape is not None and not explanation.named_laws:
             write_whole(folder / "missing_force.py", effect_template(explanation.missing))
 
-    return Outcome(result, explanation_text(explanation), write)
+    return Outcome(result, of_all(options, explanation.case, explanation_text(explanation)), write)

@@ -138,6 +138,12 @@ def add_candidates(command: Any) -> None:
     group.add_argument("--without", metavar="NAME", action="append", help="an effect that is no candidate")
 
 
+def add_quick(command: Any) -> None:
+    """The option for a first look."""
+    what = "a first look: take a tenth of the windows of each recording, and at least one"
+    command.add_argument("--quick", action="store_true", help=what)
+
+
 def model_options(options: argparse.Namespace) -> dict[str, Any]:
     """What the options say of model and estimation, as `snakejax.commands` takes it."""
     return {

@@ -220,7 +220,7 @@ def exact_law(
     """
     if missing.windows is None:
         return None
-    found: list[AddedLaws] = []
+    exact_laws: list[AddedLaws] = []
     most = largest_noise_misfit(missing.windows.samples)
     for law in [law for law in missing.laws if law.left_out <= most][:TRIED]:
         progress(ProgressEvent(Phase.LAW_FIT, f"fitting {law.expression} to whole runs"))
@@ -229,17 +229,17 @@ def exact_law(
         except FitError:
             continue
         exact = _leaving_only_noise(like, (law,), candidate_set, fit)
-        found += [] if exact is None else [exact]
+        exact_laws += [] if exact is None else [exact]
         if exact is not None and exact.leaves_nothing:
             break
-    return likeliest(found) if found else None
+    return likeliest(exact_laws) if exact_laws else None
 
 
-def likeliest(found: Sequence[AddedLaws]) -> AddedLaws:
+def likeliest(exact_laws: Sequence[AddedLaws]) -> AddedLaws:
     """Of laws that leave only noise that with the least chi^2, or the one with the fewest parameters of those that do
     not differ from it by `FEWEST_CHI2`: of many samples noise may vary by more than what tells a law from another."""
-    least = min(one.chi2 for one in found)
-    return min((one for one in found if one.chi2 - least < FEWEST_CHI2), key=lambda one: (one.size, one.chi2))
+    least = min(one.chi2 for one in exact_laws)
+    return min((one for one in exact_laws if one.chi2 - least < FEWEST_CHI2), key=lambda one: (one.size, one.chi2))
 
 
 def _leaving_only_noise(
