@@ -166,20 +166,6 @@ def test_of_laws_of_other_variables_that_do_as_well_one_is_kept_only_where_it_pr
     assert choice.undecided == undecided
 
 
-def test_a_law_whose_rival_raises_the_error_of_whole_runs_is_undecided(monkeypatch) -> None:
-    """The rival does as well in steps ahead, so these runs cannot tell which variable acts, though only one of the two
-    lowers the error of whole runs, and not by more than its standard error."""
-    errors = {"first": [9.0, 9.7, 11.0], "second": [10.0, 10.0, 200.0]}
-
-    def fitted(*given: Any) -> FittedLaw:
-        name = given[-1].law.expression
-        return fitted_law(given[-1], np.full(3, 80.0), np.array(errors[name]))
-
-    proposals = [proposal("first", "X", ("x",), 1000.0), proposal("second", "X", ("y",), 1001.0)]
-    choice = chooser(monkeypatch, proposals, fitted)(3)
-    assert choice.law is None and choice.undecided == ("first", "second")
-
-
 @pytest.mark.parametrize(
     ("deviance", "effects", "kept"),
     [

@@ -62,14 +62,13 @@ def choose_law(
     for one in near(ordered, search.criteria.distinct_chi2):
         search.progress(ProgressEvent(Phase.LAW_FIT, f"fitting {one.law.expression} together with a random force"))
         with_one = fit_law(case, noise, candidate_set, search, base, one)
-        if with_one is not None:
+        if with_one is not None and with_one.mean_square.sum() < whole.sum():
             fitted.append(with_one)
-    most = min((one.deviance.sum() for one in fitted), default=0.0) + search.criteria.distinct_chi2
-    as_good = [one for one in fitted if one.deviance.sum() < most]
-    predicting = [one for one in as_good if one.mean_square.sum() < whole.sum()]
-    if not predicting:
+    if not fitted:
         return LawChoice()
-    best = preferred(predicting)
+    most = min(one.deviance.sum() for one in fitted) + search.criteria.distinct_chi2
+    as_good = [one for one in fitted if one.deviance.sum() < most]
+    best = preferred(as_good)
     gain = Gain(before.deviance(effects) - best.deviance, 0.0)
     displaced = set(effects) - set(best.linear.point.effects)
     if not gain.exceeds_standard_error or (displaced and gain.by_part.sum() < search.criteria.distinct_chi2):

@@ -1,13 +1,13 @@
 """What effects are worth on runs left out: each train run predicted with parameters from the others."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from snakejax.estimation.discrepancy.kalman import block_gram_matrices, gram_matrices
-from snakejax.estimation.discrepancy.least_squares import Optimum, quadratic
+from snakejax.estimation.discrepancy.least_squares import quadratic
 from snakejax.estimation.discrepancy.open_loop import open_loop
 
 from .search import FINE, Linear, Search
@@ -61,26 +61,15 @@ class LeftOut(NamedTuple):
 
     def mean_square(self, effects: Iterable[str]) -> Float[np.ndarray, " R"]:
         """The mean square error of each run with `effects`, in units of the noise, where it is predicted from its start
-        and no measurement corrects it; less what the errors of the parameters explain, and at least 1.
-
-        What the other runs do not determine makes their prediction uncertain, not wrong, and all runs together may
-        determine it.
-        """
-        effects, point, subsets, gram = list(effects), self.linear.point, self.linear.subsets, self.linear.gram
+        and no measurement corrects it."""
+        point, subsets, gram = self.linear.point, self.linear.subsets, self.linear.gram
+        free = subsets.with_effects(effects).free
         others = [subsets.gram - one for one in gram] if len(gram) > 1 else [subsets.gram]
-        best = [subsets.with_effects(effects, other) for other in others]
-        free = [*subsets.always, *(k for effect in effects for k in subsets.candidates[effect])]
-        steps, covariance = (
-            np.array([one.step[list(free)] for one in best]),
-            np.array([_among(one, free) for one in best]),
-        )
-        whole = open_loop(self.linear.data, point.discrepancy, free)
-        residual, sd = whole.predicted(steps, covariance)
-        _, without = whole.predicted(steps)
+        steps = np.array([subsets.with_effects(effects, other).step[list(free)] for other in others])
+        residual, _ = open_loop(self.linear.data, point.discrepancy, free).predicted(steps)
         noise = np.hypot(point.discrepancy.white, point.discrepancy.wander)
-        beyond = (residual**2 - (sd**2 - without**2)) / noise**2
         samples = np.maximum(np.isfinite(residual).sum(axis=(1, 2)), 1)
-        return np.maximum(np.nansum(beyond, axis=(1, 2)) / samples, 1.0)
+        return np.nansum((residual / noise) ** 2, axis=(1, 2)) / samples
 
     def gain(self, effects: Iterable[str], effect: str) -> Gain:
         """What `effect` is worth beside the others of `effects`: the fall of -2 log density of each block."""
@@ -109,14 +98,6 @@ class LeftOut(NamedTuple):
                 break
             kept.remove(min(idle, key=lambda effect: gains[effect].by_part.sum()))
         return kept
-
-
-def _among(best: Optimum, free: Sequence[int]) -> Float[np.ndarray, "k k"]:
-    """The covariance of the parameters numbered `free`; zero for one that is on its bound."""
-    place = [free.index(k) for k in best.free]
-    covariance = np.zeros((len(free), len(free)))
-    covariance[np.ix_(place, place)] = best.covariance
-    return covariance
 
 
 def with_predicting_effects(search: Search, linear: Linear) -> Linear:
