@@ -76,12 +76,13 @@ def work(options: argparse.Namespace, case: Any, say: Progress) -> Outcome:
 
 
 def of_all(options: argparse.Namespace, case: Any, text: Any) -> Any:
-    """`text`, with a first line on how many windows it rests, where these are a tenth of all."""
+    """`text`, with a first line on how many windows it rests, where these are a tenth."""
     if not options.quick:
         return text
     from rich.console import Group
 
-    return Group(f"A first look at {counted(len(case.runs), 'window')}, a tenth of all. Without --quick: all.", text)
+    windows = counted(len(case.runs), "window")
+    return Group(f"A first look at {windows}: a tenth of each recording, at least one. Without --quick: all.", text)
 
 
 def explain_options(options: argparse.Namespace, say: Progress) -> Any:
