@@ -7,19 +7,7 @@ from typing import Any
 from snakejax.core.progress import Phase, Progress, ProgressEvent
 from snakejax.core.tabular import counted
 
-from .options import (
-    add_candidates,
-    add_cases,
-    add_command,
-    add_fitting,
-    add_model,
-    add_output,
-    add_quick,
-    effect_spec,
-    given,
-    model_options,
-    threshold,
-)
+from .options import add_command, add_output, add_question, effect_spec, given, model_options, threshold
 from .pipeline import Outcome, Stopwatch, each_case
 
 
@@ -34,11 +22,7 @@ def add(commands: Any) -> None:
         "best few. Each is listed with significance, expected value and remaining error.",
         "snakejax diagnose data/tilted-floor",
     )
-    add_cases(command)
-    add_model(command, candidates=True)
-    add_fitting(command)
-    add_candidates(command)
-    add_quick(command)
+    add_question(command)
     add_output(command)
 
 
@@ -72,10 +56,10 @@ def work(options: argparse.Namespace, case: Any, say: Progress) -> Outcome:
         plot.save(plot.ranking(base), folder, "diagnose-ranking")
         plot.save(plot.confusability(base), folder, "diagnose-confusability")
 
-    return Outcome(result, of_all(options, case, diagnosis_text(case, base)), write)
+    return Outcome(result, with_first_look(options, case, diagnosis_text(case, base)), write)
 
 
-def of_all(options: argparse.Namespace, case: Any, text: Any) -> Any:
+def with_first_look(options: argparse.Namespace, case: Any, text: Any) -> Any:
     """`text`, with a first line on how many windows it rests, where these are a tenth."""
     if not options.quick:
         return text

@@ -12,19 +12,9 @@ from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
 from snakejax.core.tabular import counted
 
 from .animation import add_films, films, require_films
-from .diagnose import explain_options, of_all
+from .diagnose import explain_options, with_first_look
 from .exit_status import DONE
-from .options import (
-    add_candidates,
-    add_cases,
-    add_command,
-    add_fitting,
-    add_model,
-    add_output,
-    add_quick,
-    given,
-    threshold,
-)
+from .options import add_command, add_output, add_question, given, threshold
 from .pipeline import Outcome, Stopwatch, each_case
 
 KEPT = "unfinished"
@@ -43,11 +33,7 @@ def add(commands: Any) -> None:
         "an interrupted command again, and it continues with them.",
         "snakejax explain data/tilted-floor --json -",
     )
-    add_cases(command)
-    add_model(command, candidates=True)
-    add_fitting(command)
-    add_candidates(command)
-    add_quick(command)
+    add_question(command)
     command.add_argument("--plan", action="store_true", help="print what would be tried, and fit nothing")
     add_output(command)
     add_films(command)
@@ -143,4 +129,4 @@ def work(options: argparse.Namespace, case: Any, say: Progress) -> Outcome:
         if explanation.missing.shape is not None and not explanation.named_laws:
             write_whole(folder / "missing_force.py", effect_template(explanation.missing))
 
-    return Outcome(result, of_all(options, explanation.case, explanation_text(explanation)), write)
+    return Outcome(result, with_first_look(options, explanation.case, explanation_text(explanation)), write)

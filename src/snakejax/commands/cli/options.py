@@ -126,8 +126,11 @@ def add_fitting(command: Any) -> Any:
     return group
 
 
-def add_candidates(command: Any) -> None:
-    """The options of candidate effects."""
+def add_question(command: Any) -> None:
+    """The options of `diagnose` and `explain`: case, base and its fit, candidate effects, and which windows to take."""
+    add_cases(command)
+    add_model(command, candidates=True)
+    add_fitting(command)
     group = command.add_argument_group("candidates")
     group.add_argument(
         "--effect",
@@ -136,10 +139,6 @@ def add_candidates(command: Any) -> None:
         help="one more candidate effect: FILE.py:Class of your own. May be repeated",
     )
     group.add_argument("--without", metavar="NAME", action="append", help="an effect that is no candidate")
-
-
-def add_quick(command: Any) -> None:
-    """The option for a first look."""
     what = "a first look: take a tenth of the windows of each recording, and at least one"
     command.add_argument("--quick", action="store_true", help=what)
 

@@ -107,8 +107,7 @@ def without_idle_terms(
         proposal = fitted.proposal.without(amplitude)
         own_set, own = search_with(case, noise, candidate_set, search, base, fitted.name, proposal)
         point = fitted.linear.point
-        known = dict(zip(fitted.search.model.names, point.values, strict=True))
-        values = np.array([known[parameter] for parameter in own.model.names])
+        values = _values_in(own, fitted.search, point.values, {})
         try:
             linear = own.refit(point._replace(values=values), point.effects, most=FINE)
         except FitError:
@@ -172,7 +171,12 @@ def start_of(search: Search, own: Search, weak: Linear, name: str, law: Proposed
     step = np.zeros(len(search.model.names))
     step[free] = law.steps
     point = search.stepped(weak, step, weak.point.effects)
-    known = dict(zip(search.model.names, point.values, strict=True))
-    known |= {f"effects.{name}.{part}": value for part, value in law.values.items()}
-    values = np.array([known[parameter] for parameter in own.model.names])
+    of_law = {f"effects.{name}.{part}": value for part, value in law.values.items()}
+    values = _values_in(own, search, point.values, of_law)
     return point._replace(values=values, effects=(*point.effects, name))
+
+
+def _values_in(own: Search, search: Search, values: np.ndarray, others: dict[str, float]) -> np.ndarray:
+    """The `values` of the parameters of `search`, and those of `others` by name, in the order of `own`."""
+    known = dict(zip(search.model.names, values, strict=True)) | others
+    return np.array([known[parameter] for parameter in own.model.names])

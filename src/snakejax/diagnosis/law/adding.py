@@ -194,8 +194,10 @@ def best_laws(
     trials: list[AddedLaws] = []
     for law in rivals_of(missing.laws):
         trial = added((law,))
-        trials += [] if trial is None else [trial]
-        if trial is not None and trial.leaves_nothing:
+        if trial is None:
+            continue
+        trials.append(trial)
+        if trial.leaves_nothing:
             break
     exact = [trial for trial in trials if consistent_with_noise(trial.fit.solution)]
     if exact:
@@ -229,8 +231,10 @@ def exact_law(
         except FitError:
             continue
         exact = _leaving_only_noise(like, (law,), candidate_set, fit)
-        exact_laws += [] if exact is None else [exact]
-        if exact is not None and exact.leaves_nothing:
+        if exact is None:
+            continue
+        exact_laws.append(exact)
+        if exact.leaves_nothing:
             break
     return likeliest(exact_laws) if exact_laws else None
 
