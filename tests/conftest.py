@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
+import helpers.compiled  # noqa: F401  (first: jax and equinox read its variables when they are imported)
 import jax
 import pytest
 from helpers.browser import BROWSERS
