@@ -10,7 +10,7 @@ import pytest
 from snakejax import Board, Case, Force, Gait, Model, Noise, Pacejka, Run, Sines, param, simulate, starting_model
 from snakejax.diagnosis import explain
 from snakejax.diagnosis.exact_checks import constants_explain
-from snakejax.diagnosis.selection.candidates import CandidateFit, CandidateSet
+from snakejax.diagnosis.selection.candidates import CandidateSet
 from snakejax.diagnosis.selection.refit import base_fit
 from snakejax.effects import LIBRARY
 
@@ -175,7 +175,7 @@ def test_free_constants_explain_a_wrong_length_and_no_slope(stated: float, slope
     case = dataclasses.replace(case, board=Board(**(STATED | {"half_length": stated}), inertia=0.44))
     offered = {name: LIBRARY[name]() for name in ("ground_slope", "steering_gain")}
     candidate_set = CandidateSet.of(starting_model(case), case, case.noise, offered)
-    base = CandidateFit((), base_fit(candidate_set))
+    base = base_fit(candidate_set)
     assert base.solution.misfit > 1.5
     assert constants_explain(candidate_set, base, {}) is explained
     # What is stated to 0.1 mm is not 2 mm off.

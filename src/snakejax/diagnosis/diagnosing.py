@@ -99,7 +99,7 @@ def diagnose_base(
 
     def fitted(model: Model, switched: bool, progress: Progress) -> tuple[CandidateSet, CandidateFit]:
         candidate_set = CandidateSet.of(model, case, noise, library, switched=switched, criteria=criteria, how=how)
-        return candidate_set, CandidateFit(tuple(with_), base_fit(candidate_set, with_, progress))
+        return candidate_set, base_fit(candidate_set, with_, progress)
 
     # The other structure needs nothing of the first: its programs are compiled on another core.
     with ContextThreads(1) as beside:

@@ -15,6 +15,7 @@ from snakejax.estimation.problem import Problem
 from .explanation import RunBand, run_bands
 from .odd_runs import OddRun, odd_runs, run_grams, run_that_alone_shows
 from .selection.candidates import CandidateFit, CandidateSet
+from .selection.refit import CRAWL
 from .selection.score_test import projected
 from .selection.screening import window_sensitivities
 from .selection.steps import SelectionStep
@@ -130,7 +131,7 @@ def constants_explain(candidate_set: CandidateSet, step: CandidateFit, stated: M
     names = [*candidate_set.free(step.effects), *sds]
     freed = Problem.of(model, problem.runs, problem.noise, names, len(names), threshold=problem.threshold)
     values = {name: value for name, value in step.solution.values.items() if name in names}
-    solution = freed.fit(values, names, candidate_set.train, step.solution.start)
+    solution = freed.fit(values, names, candidate_set.train, step.solution.start, crawl=CRAWL)
     if not consistent_with_noise(solution):
         return False
     moved = {name: abs(np.log(solution.values[name] / float(known[name].value))) for name in sds}

@@ -11,6 +11,7 @@ from snakejax.core.parameter import short_name
 from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
 from snakejax.recording.run import Run
 
+from .least_squares import THREADS
 from .linearisation import domains_of, project_out_starts
 from .many_runs import MANY
 from .multiple_shooting import LENGTH, Windows, WindowSolution
@@ -253,11 +254,11 @@ def inconsistent_derivative(problem: Problem, solution: Solution, runs: Sequence
     and standard errors would be far too small. The check takes a step that changes the residuals by the norm `norm`
     according to the Jacobian; the simulated change must agree within `norm` / 2.
     """
-    inconsistent = []
+    domains = dict(zip(solution.free, domains_of(problem.model, solution.free), strict=True))
     residual = solution.linearised.residual[list(runs)]
-    for row, (name, domain) in enumerate(zip(solution.free, domains_of(problem.model, solution.free), strict=True)):
-        if name in solution.held:
-            continue
+
+    def is_inconsistent(name: str) -> bool:
+        domain, row = domains[name], solution.free.index(name)
         column = solution.linearised.jacobian[list(runs)][..., row]
         step = norm / max(float(np.sqrt((column**2).sum())), norm / LONGEST)
         value = solution.values[name]
@@ -266,9 +267,11 @@ def inconsistent_derivative(problem: Problem, solution: Solution, runs: Sequence
         with np.errstate(over="ignore", invalid="ignore"):
             change = problem.evaluate(displaced, runs).residual[list(runs)] - residual
             error = np.sqrt(((change - step * column) ** 2).sum())
-        if not error < norm / 2:
-            inconsistent.append(name)
-    return inconsistent
+        return not error < norm / 2
+
+    with ContextThreads(THREADS) as pool:
+        checked = zip(solution.loose, pool.map(is_inconsistent, solution.loose), strict=True)
+        return [name for name, inconsistent in checked if inconsistent]
 
 
 def with_true_errors(problem: Problem, solution: Solution, runs: Sequence[int]) -> Solution:

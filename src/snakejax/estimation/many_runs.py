@@ -63,6 +63,8 @@ def eliminated_step(
         normal += G.T @ G - inside.T @ inside
         right -= G.T @ r - inside.T @ rest
         parts.append((movable, triangle, inside, rest))
+    if not (np.isfinite(normal).all() and np.isfinite(right).all()):
+        return np.zeros(width), np.zeros_like(free_start), 0.0
     size = np.maximum(np.diag(normal), 0.0)
     damped = normal + np.diag(damping * size + precision)
     scale = np.where(np.diag(damped) > 0, np.sqrt(np.abs(np.diag(damped))), 1.0)

@@ -20,6 +20,7 @@ from snakejax.simulation.integrate import Accuracy
 from .block_linearisation import linearise_runs
 from .fit_journal import kept_fit
 from .linearisation import Linearised, domains_of
+from .many_runs import FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING, eliminated_step
 from .problem import Problem, dependence_of
 
 ACCURACY = Accuracy(rtol=3e-6, atol=3e-8, max_steps=4000, derivative="forward")
@@ -28,6 +29,11 @@ LENGTH = 1.5
 """Length of a window [s]: long enough for an effect to show, short enough for residuals nearly linear in it."""
 ENOUGH = 0.003
 """The iteration ends with a step that lowers the cost by less than this fraction."""
+LITTLE = 0.1
+"""A decrease of chi^2 that is too small to go on for."""
+GROWTH = 10.0
+"""Factor on the damping after a step that did not lower the cost; twice as large after each further one (Nielsen
+1999)."""
 START_ROUNDS = 6
 """Largest number of steps of the start states alone."""
 LOST = 2.0
@@ -121,42 +127,53 @@ class Windows(eqx.Module):
 
         **Arguments:** `values`, `start` (W, S): where the iteration begins; `rounds`: largest number of steps.
         """
-        problem = self.problem
-        domains = domains_of(problem.model, free)
-        current = dict(values)
+        problem, current = self.problem, dict(values)
+        free_start = np.asarray(problem.batch.free_start)
         starts = np.asarray(problem.batch.start) if start is None else start
         starts, linearised = self._started(
             current, free, starts, self.at(current, starts, free), range(len(problem.runs))
         )
-        cost, damping = self._total(linearised, current, free), 1e-4
+        cost, damping, growth = self._total(linearised, current, free), FIRST_DAMPING, GROWTH
         for _ in range(rounds if free and np.isfinite(cost) else 0):
             pull, strength = problem.typical(current, free)
             weight = dependence_of(cost / max(linearised.residual.size, 1))
             prior = (pull[: len(free)], weight * strength[: len(free)] ** 2)
-            step, moves = _newton(
-                linearised, len(free), problem.width, np.asarray(problem.batch.free_start), damping, prior
-            )
-            trial = dict(current)
-            for name, domain, move in zip(free, domains, step, strict=True):
-                move = float(np.clip(move, -1.0, 1.0)) if domain.multiplicative else float(move)
-                trial[name] = float(np.clip(domain.moved(current[name], move), domain.low, domain.high))
-            trial_starts = starts + moves
-            trial_linearised = self.at(trial, trial_starts, free)
-            lost_windows = np.flatnonzero(
-                ~(_each(trial_linearised) < LOST * _each(linearised) + trial_linearised.residual[0].size)
-            )
-            trial_starts, trial_linearised = self._started(trial, free, trial_starts, trial_linearised, lost_windows)
+            flat = _flat(linearised, free, problem.width)
+            step, moves, promise = eliminated_step(flat, len(free), free_start, damping, prior)
+            if damping <= FIRST_DAMPING and promise < max(LITTLE, ENOUGH * cost):
+                break
+            trial = self._moved(current, free, step)
+            trial_starts, trial_linearised = self._recovered(trial, free, starts + moves, linearised, cost)
             trial_cost = self._total(trial_linearised, trial, free)
             if not trial_cost < cost * (1 + 1e-9):
-                damping *= 10
-                if damping > 1e2:
+                damping, growth = damping * growth, 2 * growth
+                if damping > MOST_DAMPING:
                     break
                 continue
             decrease, cost = cost - trial_cost, trial_cost
-            current, starts, linearised, damping = trial, trial_starts, trial_linearised, max(damping / 10, 1e-9)
-            if decrease < max(0.1, ENOUGH * cost):
+            current, starts, linearised = trial, trial_starts, trial_linearised
+            damping, growth = max(damping / 10, LEAST_DAMPING), GROWTH
+            if decrease < max(LITTLE, ENOUGH * cost):
                 break
         return WindowSolution(current, starts, linearised, _cost(linearised))
+
+    def _moved(self, values: Mapping[str, float], free: Sequence[str], step: np.ndarray) -> dict[str, float]:
+        """`values` after the `step` (K,) of the parameters `free`, inside their domains."""
+        moved = dict(values)
+        for name, domain, move in zip(free, domains_of(self.problem.model, free), step, strict=True):
+            move = float(np.clip(move, -1.0, 1.0)) if domain.multiplicative else float(move)
+            moved[name] = float(np.clip(domain.moved(values[name], move), domain.low, domain.high))
+        return moved
+
+    def _recovered(self, values, free, starts, before: Linearised, cost: float) -> tuple[np.ndarray, Linearised]:
+        """Start states (W, S) and residuals at `values`, with the start states of those windows solved again whose cost
+        is above `LOST` times that `before`; not where the others alone cost more than the `cost` of all before."""
+        linearised = self.at(values, starts, free)
+        each = _each(linearised)
+        lost = ~(each < LOST * _each(before) + linearised.residual[0].size)
+        if not each[~lost].sum() < cost:
+            return starts, linearised
+        return self._started(values, free, starts, linearised, np.flatnonzero(lost))
 
     def _started(self, values, free, starts, linearised: Linearised, windows) -> tuple[np.ndarray, Linearised]:
         """Start states (W, S) and residuals after the start states of `windows` are fitted, the parameters fixed."""
@@ -209,33 +226,11 @@ def _cost(linearised: Linearised) -> float:
     return cost if np.isfinite(cost) else np.inf
 
 
-def _newton(linearised: Linearised, count: int, width: int, free_start: np.ndarray, damping: float, prior):
-    """One damped Gauss-Newton step: (K,) of the first `count` parameters and (W, S) of the start states.
-
-    The start states are eliminated by the QR decomposition of their columns (Golub and Pereyra 1973); `prior` is
-    (mean, 1 / variance) of the step, each (K,).
-    """
-    parts = []
-    normal, right = np.zeros((count, count)), np.zeros(count)
-    for k, (r, J) in enumerate(zip(linearised.residual, linearised.jacobian, strict=True)):
-        r, J = r.reshape(-1), J.reshape(-1, J.shape[-1])
-        G, free_components = J[:, :count], free_start[k] > 0
-        free_components &= (J[:, width:] ** 2).sum(axis=0) > 0
-        S = J[:, width:][:, free_components]
-        S, G, r = with_damping(S, damping, G, r)
-        basis, triangle = np.linalg.qr(S)
-        G_ = G - basis @ (basis.T @ G)
-        normal += G_.T @ G_
-        right -= G_.T @ (r - basis @ (basis.T @ r))
-        parts.append((basis, triangle, r, G, free_components))
-    prior_mean, precision = prior
-    size = np.diag(normal)
-    damped = normal + np.diag(damping * size + precision)
-    step = _solved(damped, right + precision * prior_mean)
-    moves = np.zeros_like(free_start)
-    for k, (basis, triangle, r, G, free_components) in enumerate(parts):
-        moves[k, free_components] = np.linalg.lstsq(triangle, -(basis.T @ (r + G @ step)), rcond=1e-12)[0]
-    return step, moves
+def _flat(linearised: Linearised, free: Sequence[str], width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals (W, m) and Jacobian (W, m, K + S) by the K `free` parameters, of `width` columns, and the starts."""
+    residual, jacobian = (np.asarray(part) for part in linearised)
+    used = [*range(len(free)), *range(width, jacobian.shape[-1])]
+    return residual.reshape(len(residual), -1), jacobian.reshape(len(residual), -1, jacobian.shape[-1])[..., used]
 
 
 def with_damping(S: np.ndarray, damping: float, *others: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -244,15 +239,6 @@ def with_damping(S: np.ndarray, damping: float, *others: np.ndarray) -> tuple[np
     return np.concatenate([S, damping_rows]), *(
         np.concatenate([o, np.zeros((len(damping_rows), *o.shape[1:]))]) for o in others
     )
-
-
-def _solved(normal: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """The solution of the normal equations scaled to a unit diagonal; a parameter without influence gets step zero."""
-    if not right.size or not (np.isfinite(normal).all() and np.isfinite(right).all()):
-        return np.zeros_like(right)
-    norms = np.sqrt(np.diag(normal))
-    scale = np.where(norms > 0, norms, 1.0)
-    return np.linalg.lstsq(normal / np.outer(scale, scale), right / scale, rcond=1e-14)[0] / scale
 
 
 class WindowSolution(NamedTuple):

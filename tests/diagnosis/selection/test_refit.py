@@ -66,7 +66,7 @@ def bench(few: bool) -> CandidateSet:
 
 @cache
 def base(few: bool) -> CandidateFit:
-    return CandidateFit((), base_fit(bench(few)))
+    return base_fit(bench(few))
 
 
 @cache

@@ -39,9 +39,9 @@ def known_effects_beside(
 def _converged(last: WorkingStep) -> WorkingStep:
     """The `last` step fitted on until it converges: the amplitude of a law and what is inside it trade off along a
     curved valley, in which the fits of a selection stop."""
-    candidate_set, (effects, solution) = last.candidate_set, last.step
-    end = CandidateFit(effects, continue_to_convergence(candidate_set.problem, solution, candidate_set.train))
-    return selection_step(candidate_set, last.record.change, last.record.name, end, last.ranking)
+    problem, train = last.candidate_set.problem, last.candidate_set.train
+    end = last.step._replace(solution=continue_to_convergence(problem, last.step.solution, train))
+    return selection_step(last.candidate_set, last.record.change, last.record.name, end, last.ranking)
 
 
 class LawBesideEffects(NamedTuple):

@@ -13,7 +13,7 @@ from snakejax.dynamics.ports import Delay, Effect
 from snakejax.estimation.discrepancy.priors import with_own_inertia
 from snakejax.estimation.initial_model import default_free, starting_model
 from snakejax.estimation.joint_logs.clocks import free_clocks
-from snakejax.estimation.multiple_shooting import LENGTH, Windows
+from snakejax.estimation.multiple_shooting import LENGTH, Windows, WindowSolution
 from snakejax.estimation.problem import Problem, Solution
 from snakejax.recording.run import Case, Noise
 
@@ -118,10 +118,12 @@ def _told_by_logs(effect: Effect, case: Case) -> str | None:
 
 
 class CandidateFit(NamedTuple):
-    """The state of an explanation: which effects are in, and the fit with them."""
+    """The state of an explanation: which effects are in, the fit with them to whole runs, and the fit to windows that
+    it began from, where it did."""
 
     effects: tuple[str, ...]
     solution: Solution
+    windows: WindowSolution | None = None
 
 
 def structures(case: Case, kind: str, constraint: str | None, start: Model | None = None) -> list[Model]:

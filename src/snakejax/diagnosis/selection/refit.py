@@ -25,14 +25,14 @@ CRAWL = 2e-3
 """A model that is not the truth is fitted no further where a step lowers its misfit by less than this share."""
 
 
-def base_fit(candidate_set: CandidateSet, effects: Sequence[str] = (), progress: Progress = no_progress) -> Solution:
+def base_fit(
+    candidate_set: CandidateSet, effects: Sequence[str] = (), progress: Progress = no_progress
+) -> CandidateFit:
     """The base: the tyre, and `effects` put in from the start, fitted to windows and then to whole train runs."""
     require_sensitive(candidate_set.problem, candidate_set.problem.values(), candidate_set.tyre, candidate_set.train)
-    return require_consistent_derivative(
-        candidate_set.problem,
-        fresh_fit(candidate_set, effects, candidate_set.problem.values(), progress),
-        candidate_set.train,
-    )
+    fit = fresh_fit(candidate_set, effects, candidate_set.problem.values(), progress)
+    require_consistent_derivative(candidate_set.problem, fit.solution, candidate_set.train)
+    return fit
 
 
 def fresh_fit(
@@ -40,7 +40,7 @@ def fresh_fit(
     effects: Sequence[str],
     values: Mapping[str, float],
     progress: Progress = no_progress,
-) -> Solution:
+) -> CandidateFit:
     """The tyre fitted from where it began, and `effects` from `values`, to windows and then to whole train runs.
 
     Windows settle from two sizes of the tyre force. Where the fit ends near the noise but not in it, or not at all, the
@@ -52,17 +52,19 @@ def fresh_fit(
     values = {
         name: candidate_set.off_zero(name, value) if name in free else value for name, value in values.items()
     } | began
-    best = fit_windows(candidate_set.windows, values, free)
+    windows = fit_windows(candidate_set.windows, values, free)
     progress(ProgressEvent(Phase.WHOLE_RUNS))
-    misfit = best.cost / max(best.linearised.residual.size, 1)
-    solution = refit(candidate_set, effects, best.values, near=misfit < candidate_set.criteria.close_windows_misfit)
+    misfit = windows.cost / max(windows.linearised.residual.size, 1)
+    solution = refit(candidate_set, effects, windows.values, near=misfit < candidate_set.criteria.close_windows_misfit)
     if (
         consistent_with_noise(solution) and solution.converged
     ) or not solution.misfit < candidate_set.criteria.far_misfit:
-        return solution
+        return CandidateFit(tuple(effects), solution, windows)
     first = continue_over_horizons(problem, values, free, train, progress)
     solution = best_of(solution, problem.fit(first.values, free, train, first.start, crawl=CRAWL, most=30))
-    return continue_to_convergence(problem, solution, train) if consistent_with_noise(solution) else solution
+    if consistent_with_noise(solution):
+        solution = continue_to_convergence(problem, solution, train)
+    return CandidateFit(tuple(effects), solution, windows)
 
 
 def refit(

@@ -84,7 +84,10 @@ class _WindowBase(NamedTuple):
 
 
 def _settled(candidate_set: CandidateSet, step: CandidateFit, fitted: Sequence[str]) -> WindowSolution:
-    """The fitted parameters on the windows, from where they are and from where the tyre began."""
+    """The fitted parameters on the windows: from where they settled before, else from where they are and from where the
+    tyre began."""
+    if step.windows is not None:
+        return candidate_set.windows.settle(step.windows.values, fitted, step.windows.start, rounds=15)
     fresh = {**step.solution.values, **{n: candidate_set.problem.values()[n] for n in candidate_set.tyre}}
     with ContextThreads(WORKERS) as pool:
         both = pool.map(

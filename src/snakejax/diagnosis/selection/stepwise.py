@@ -7,7 +7,7 @@ import numpy as np
 
 from snakejax.core.progress import Phase, Progress, ProgressEvent
 from snakejax.estimation.goodness_of_fit import consistent_with_noise
-from snakejax.estimation.initialisation import best_of, continue_to_convergence
+from snakejax.estimation.initialisation import continue_to_convergence
 from snakejax.estimation.problem import Solution
 
 from .acceptance import accept_addition, chi2_threshold, wald_significant
@@ -189,4 +189,4 @@ def refit_to_convergence(candidate_set: CandidateSet, step: CandidateFit, progre
     if not step.solution.misfit < candidate_set.criteria.far_misfit:
         return step
     again = fresh_fit(candidate_set, step.effects, step.solution.values, progress)
-    return CandidateFit(step.effects, best_of(step.solution, again))
+    return again if again.solution.misfit < step.solution.misfit else step
