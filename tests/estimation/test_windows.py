@@ -2,6 +2,8 @@
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
+from scipy import optimize
 
 from snakejax import Board, Gait, Model, Noise, Pacejka, Run, Sines
 from snakejax.dynamics.inputs import Inputs
@@ -62,3 +64,32 @@ def test_windows_of_held_commands_show_what_a_clock_offset_does() -> None:
     change = late.residual - now.residual
     off = change - 0.03 * now.jacobian[..., 0]
     assert np.linalg.norm(off) < 0.3 * np.linalg.norm(change)
+
+
+def test_windows_settle_at_the_optimum_that_scipy_finds() -> None:
+    """A drag and the start states of all windows at once; a model that a torque turns, as nothing turned the robot,
+    settles above the noise, at the optimum too."""
+    rng, times = np.random.default_rng(7), jnp.arange(0.0, 4.5, 0.03)
+    turn = Inputs({"left": Sines.of([(2.0, 1.3, 0.0)]), "right": Sines.of([(3.0, 0.9, 1.0)])})
+    robot = Model(SkidSteer(**HUSKY), Pacejka(5.0, 1.3, 60.0, 0.1), "free")
+    pose = simulate(robot, turn, times, (0.0, 0.0, 0.3)).pose + rng.normal(size=(times.size, 3)) * [2e-3, 2e-3, 4e-3]
+    noise = Noise(jnp.asarray(2e-3), jnp.asarray(4e-3), source="made up")
+    free = ["effects.drag.c"]
+    for torque in (0.0, 20.0):
+        drag = law("X = -c * u", {"c": "N s/m"}, {"c": 0.0})
+        model = robot.add(torque=law("N = t", {"t": "N m"}, {"t": torque}), drag=drag)
+        windows = Windows.of(model, [Run("run", "train", times, pose, turn)], noise, free, 1, 1.5)
+        settled = windows.settle({free[0]: 60.0}, free)
+        movable = np.asarray(windows.problem.batch.free_start) > 0
+
+        def residual(z: np.ndarray, windows=windows, movable=movable, settled=settled) -> np.ndarray:
+            start = settled.start.copy()
+            start[movable] = z[1:]
+            return windows.at({free[0]: z[0]}, start).residual.ravel()
+
+        begin = np.array([settled.values[free[0]] + 2.0, *(settled.start[movable] + 1e-3)])
+        found = optimize.least_squares(residual, begin, x_scale="jac")
+        assert settled.cost == pytest.approx(2 * found.cost, rel=3e-3)
+        sd = np.sqrt(np.linalg.inv(found.jac.T @ found.jac)[0, 0])
+        assert settled.values[free[0]] == pytest.approx(found.x[0], abs=sd)
+        assert (settled.cost / settled.linearised.residual.size > 1.3) == (torque > 0)
