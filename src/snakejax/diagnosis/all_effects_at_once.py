@@ -12,6 +12,7 @@ from snakejax.recording.run import Case, Noise
 
 from .diagnosing import BaseDiagnosis
 from .exact_checks import bands_of
+from .explaining_by_law import by_exact_law
 from .explanation import Explanation
 from .inexact.assessment import Assessment
 from .inexact.explaining import assess_effects, explanation_of, predicts_heldout_runs, supports
@@ -28,9 +29,10 @@ def with_all_effects_at_once(
     """The explanation by effects that are chosen together, beside a random force, wandering noise and constants within
     their priors.
 
-    None where a model with a few effects is exact: a search on whole runs finds those. None where a model of some of
-    the effects cannot be simulated. None where a law is lacking: its force is too large for a random one, errors grow
-    faster than a random force lets them, or the effects do not lower the error.
+    None where a model with a few effects is exact: a search on whole runs finds those. Where one of them is a law, the
+    law is looked for in the missing force instead. None where a model of some of the effects cannot be simulated. None
+    where a law is lacking: its force is too large for a random one, errors grow faster than a random force lets them,
+    or the effects do not lower the error.
     """
     candidate_set = diagnosis.switched[0] if diagnosis.switched else diagnosis.base.candidate_set
     if not supports(candidate_set):
@@ -41,7 +43,8 @@ def with_all_effects_at_once(
         return None
     criteria, exact = candidate_set.criteria, assessment.evidence.exact
     if exact and len(assessment.effects) <= criteria.most_effects_at_once:
-        return None
+        has_law = any(effect not in candidate_set.candidates for effect in assessment.effects)
+        return by_exact_law(case, noise, diagnosis, progress) if has_law else None
     if assessment.random_force_share > criteria.largest_random_force:
         return None
     if assessment.inside("train") < criteria.least_inside:

@@ -141,6 +141,21 @@ def test_of_laws_that_do_as_well_the_one_that_predicts_runs_left_out_best_is_kep
     assert choose_law(1) == laws.LawChoice()
 
 
+@pytest.mark.parametrize(("exact", "kept"), [(True, "first"), (False, "second")])
+def test_after_a_law_that_leaves_only_noise_no_other_is_fitted(exact, kept, monkeypatch) -> None:
+    found = [proposal("first", "X", ("x",), 1000.0), proposal("second", "X", ("y",), 1001.0)]
+    tried = []
+
+    def fitted(*given: Any) -> FittedLaw:
+        tried.append(given[-1].law.expression)
+        first = tried[-1] == "first"
+        return fitted_law(given[-1], np.full(3, 80.0 if first else 50.0))._replace(exact=exact and first)
+
+    got = chooser(monkeypatch, found, fitted)(3).law
+    assert got is not None and got.name == kept and got.rivals == ()
+    assert tried == (["first"] if exact else ["first", "second"])
+
+
 @pytest.mark.parametrize(
     ("after", "subject", "kept", "undecided"),
     [

@@ -15,6 +15,7 @@ from ..law.adding import candidate_set_with, law_names
 from ..law.search import ProposedLaw
 from ..selection.candidates import CandidateSet
 from .candidate_model import CandidateModel, candidate_model, movable_parameters
+from .evidence import model_evidence
 from .left_out import Gain, left_out, with_predicting_effects
 from .revision import revised
 from .search import FINE, Linear, Point, Search
@@ -57,7 +58,7 @@ class FittedLaw(NamedTuple):
 
     `deviance` (N,): -2 log density of train runs left out, block by block, under the noise and the random force beside
     the law; `mean_square` (R,): the error of whole runs left out; `rivals`: other laws, of another action or of other
-    variables, that do as well: other motions would tell.
+    variables, that do as well: other motions would tell; `exact`: whether nothing but white noise is left beside it.
     """
 
     name: str
@@ -68,6 +69,7 @@ class FittedLaw(NamedTuple):
     deviance: np.ndarray
     mean_square: np.ndarray
     rivals: tuple[str, ...] = ()
+    exact: bool = False
 
 
 def fit_law(
@@ -86,7 +88,9 @@ def fit_law(
 
 def _judged(name: str, proposal: Proposal, own_set: CandidateSet, own: Search, linear: Linear) -> FittedLaw:
     without, effects = left_out(own, linear), linear.point.effects
-    return FittedLaw(name, proposal, own_set, own, linear, without.deviance(effects), without.mean_square(effects))
+    exact = model_evidence(own, linear).exact
+    errors = without.deviance(effects), without.mean_square(effects)
+    return FittedLaw(name, proposal, own_set, own, linear, *errors, exact=exact)
 
 
 def without_idle_terms(

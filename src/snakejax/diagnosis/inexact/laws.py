@@ -49,7 +49,8 @@ def choose_law(
     but one run; nor where it takes the place of a known effect and these runs cannot distinguish the two. A law that
     raises the error of whole runs left out is not kept: beside a random force it may follow each run better, and lead a
     simulation astray. Where laws of other variables do as well, it is not known which is right, and a wrong one may do
-    harm in other motions: there it must lower that error by more than the standard error.
+    harm in other motions: there it must lower that error by more than the standard error. After a law that leaves only
+    noise no other one is fitted.
     """
     if len(linear.gram) < 2:
         return LawChoice()
@@ -64,6 +65,8 @@ def choose_law(
         with_one = fit_law(case, noise, candidate_set, search, base, one)
         if with_one is not None and with_one.mean_square.sum() < whole.sum():
             fitted.append(with_one)
+            if with_one.exact:
+                break
     if not fitted:
         return LawChoice()
     most = min(one.deviance.sum() for one in fitted) + search.criteria.distinct_chi2
