@@ -105,20 +105,27 @@ def test_of_laws_that_leave_only_noise_a_simpler_one_comes_first_if_chi_squared_
 
 
 @pytest.mark.parametrize(
-    ("left_out", "misfits", "fitted", "exact"),
+    ("left_out", "sizes", "misfits", "fitted", "exact"),
     [
-        ((1.0, 1.001), (1.0,), ["x"], "x"),
-        ((1.0, 1.001), (1.5, 1.0), ["x", "y"], "y"),
-        ((1.0, 1.2), (1.5,), ["x"], None),
-        ((1.1, 1.2), (), [], None),
-        ((1.0, 1.001), (1.04, 1.0), ["x", "y"], "y"),  # noise may leave 1.04, but a chi^2 of 400 tells them apart
-        ((1.0, 1.001), (1.04, 1.05), ["x", "y"], "x"),
+        ((1.0, 1.001), (1, 1), (1.0,), ["x"], "x"),
+        ((1.0, 1.001), (1, 1), (1.5, 1.0), ["x", "y"], "y"),
+        ((1.0, 1.2), (1, 1), (1.5,), ["x"], None),
+        ((1.1, 1.2), (1, 1), (), [], None),
+        # Noise may leave 1.04, but a chi^2 of 400 tells them apart.
+        ((1.0, 1.001), (1, 1), (1.04, 1.0), ["x", "y"], "y"),
+        ((1.0, 1.001), (1, 1), (1.04, 1.05), ["x", "y"], "x"),
+        # The first leaves nothing, but the second has fewer parameters, and a chi^2 of 5 does not tell them apart.
+        ((1.0, 1.001), (2, 1), (1.0, 1.0005), ["x", "y"], "y"),
+        ((1.0, 1.001), (2, 1), (1.0, 1.0015), ["x", "y"], "x"),
     ],
 )
 def test_an_exact_law_leaves_only_noise_in_windows_and_in_whole_runs(
-    left_out, misfits, fitted, exact, monkeypatch
+    left_out, sizes, misfits, fitted, exact, monkeypatch
 ) -> None:
-    laws = tuple(proposed((name,), 0.9, misfit) for name, misfit in zip("xy", left_out, strict=True))
+    laws = tuple(
+        proposed((name,), 0.9, misfit)._replace(parameters=tuple(LawParameter(part, "N") for part in "ab"[:size]))
+        for name, misfit, size in zip("xy", left_out, sizes, strict=True)
+    )
     solutions, tried = iter(misfits), []
 
     def fitted_laws(case, noise, like, effects, missing, laws):

@@ -61,7 +61,8 @@ class AddedLaws(NamedTuple):
 
     @property
     def leaves_nothing(self) -> bool:
-        """Whether the misfit is that of noise within its standard deviation, so that no other law is needed."""
+        """Whether the misfit is that of noise within its standard deviation, so that no law with as many parameters or
+        more is needed."""
         return consistent_with_noise(self.fit.solution, sigmas=1.0)
 
 
@@ -193,12 +194,11 @@ def best_laws(
 
     trials: list[AddedLaws] = []
     for law in rivals_of(missing.laws):
-        trial = added((law,))
-        if trial is None:
+        if any(trial.leaves_nothing and trial.size <= len(law.parameters) for trial in trials):
             continue
-        trials.append(trial)
-        if trial.leaves_nothing:
-            break
+        trial = added((law,))
+        if trial is not None:
+            trials.append(trial)
     exact = [trial for trial in trials if consistent_with_noise(trial.fit.solution)]
     if exact:
         return [likeliest(exact)]
@@ -225,17 +225,16 @@ def exact_law(
     exact_laws: list[AddedLaws] = []
     most = largest_noise_misfit(missing.windows.samples)
     for law in [law for law in missing.laws if law.left_out <= most][:TRIED]:
+        if any(one.leaves_nothing and one.size <= len(law.parameters) for one in exact_laws):
+            continue
         progress(ProgressEvent(Phase.LAW_FIT, f"fitting {law.expression} to whole runs"))
         try:
             candidate_set, fit = fitted_laws(case, noise, like.candidate_set, like.step.effects, missing, (law,))
         except FitError:
             continue
         exact = _leaving_only_noise(like, (law,), candidate_set, fit)
-        if exact is None:
-            continue
-        exact_laws.append(exact)
-        if exact.leaves_nothing:
-            break
+        if exact is not None:
+            exact_laws.append(exact)
     return likeliest(exact_laws) if exact_laws else None
 
 
