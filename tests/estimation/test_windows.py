@@ -10,6 +10,7 @@ from snakejax.dynamics.inputs import Inputs
 from snakejax.dynamics.law import law
 from snakejax.dynamics.sampled_signals import Held
 from snakejax.effects import library
+from snakejax.estimation import multiple_shooting
 from snakejax.estimation.multiple_shooting import Windows, cut_windows
 from snakejax.simulation.integrate import simulate
 from snakejax.vehicles.skid_steer import HUSKY, SkidSteer
@@ -66,7 +67,7 @@ def test_windows_of_held_commands_show_what_a_clock_offset_does() -> None:
     assert np.linalg.norm(off) < 0.3 * np.linalg.norm(change)
 
 
-def test_windows_settle_at_the_optimum_that_scipy_finds() -> None:
+def test_windows_settle_at_the_optimum_that_scipy_finds(monkeypatch: pytest.MonkeyPatch) -> None:
     """A drag and the start states of all windows at once; a model that a torque turns, as nothing turned the robot,
     settles above the noise, at the optimum too."""
     rng, times = np.random.default_rng(7), jnp.arange(0.0, 4.5, 0.03)
@@ -93,3 +94,8 @@ def test_windows_settle_at_the_optimum_that_scipy_finds() -> None:
         sd = np.sqrt(np.linalg.inv(found.jac.T @ found.jac)[0, 0])
         assert settled.values[free[0]] == pytest.approx(found.x[0], abs=sd)
         assert (settled.cost / settled.linearised.residual.size > 1.3) == (torque > 0)
+        # Once the linear model is trusted, what it does not expect to be of use is not fitted.
+        with monkeypatch.context() as patient:
+            patient.setattr(multiple_shooting, "PATIENCE", 0)
+            for useful, fitted in ((0.99 * settled.cost, False), (1.1 * settled.cost, True)):
+                assert (windows.settle({free[0]: 60.0}, free, useful=useful).values[free[0]] != 60.0) == fitted

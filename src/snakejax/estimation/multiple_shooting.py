@@ -34,6 +34,8 @@ LITTLE = 0.1
 GROWTH = 10.0
 """Factor on the damping after a step that did not lower the cost; twice as large after each further one (Nielsen
 1999)."""
+PATIENCE = 5
+"""After so many steps the linear model has come near enough to say what can be reached."""
 START_ROUNDS = 6
 """Largest number of steps of the start states alone."""
 LOST = 2.0
@@ -117,7 +119,12 @@ class Windows(eqx.Module):
 
     @kept_fit
     def settle(
-        self, values: Mapping[str, float], free: Sequence[str], start: np.ndarray | None = None, rounds: int = 12
+        self,
+        values: Mapping[str, float],
+        free: Sequence[str],
+        start: np.ndarray | None = None,
+        rounds: int = 12,
+        useful: float = np.inf,
     ) -> "WindowSolution":
         """Minimise chi^2 over the windows by damped Gauss-Newton steps; start states are eliminated window by window.
 
@@ -125,7 +132,8 @@ class Windows(eqx.Module):
         prior, whose weight falls with the misfit, pulls the tyre towards typical values. Before a step is accepted or
         rejected, the start state of every window whose cost rose by more than `LOST` is solved again.
 
-        **Arguments:** `values`, `start` (W, S): where the iteration begins; `rounds`: largest number of steps.
+        **Arguments:** `values`, `start` (W, S): where the iteration begins; `rounds`: largest number of steps;
+        `useful`: the largest chi^2 of use; after `PATIENCE` steps it ends where the linear model expects more.
         """
         problem, current = self.problem, dict(values)
         free_start = np.asarray(problem.batch.free_start)
@@ -134,13 +142,14 @@ class Windows(eqx.Module):
             current, free, starts, self.at(current, starts, free), range(len(problem.runs))
         )
         cost, damping, growth = self._total(linearised, current, free), FIRST_DAMPING, GROWTH
-        for _ in range(rounds if free and np.isfinite(cost) else 0):
+        for k in range(rounds if free and np.isfinite(cost) else 0):
             pull, strength = problem.typical(current, free)
             weight = dependence_of(cost / max(linearised.residual.size, 1))
             prior = (pull[: len(free)], weight * strength[: len(free)] ** 2)
             flat = _flat(linearised, free, problem.width)
             step, moves, promise = eliminated_step(flat, len(free), free_start, damping, prior)
-            if damping <= FIRST_DAMPING and promise < max(LITTLE, ENOUGH * cost):
+            hopeless = k >= PATIENCE and cost - promise > useful
+            if damping <= FIRST_DAMPING and (hopeless or promise < max(LITTLE, ENOUGH * cost)):
                 break
             trial = self._moved(current, free, step)
             trial_starts, trial_linearised = self._recovered(trial, free, starts + moves, linearised, cost)

@@ -113,7 +113,7 @@ def _refit_on_windows(
         effect, parts = candidate.score.effect, candidate_set.candidates[candidate.score.effect]
         # From where the others have settled, so that all move together; only what has no slope at zero starts off it.
         at = {n: candidate_set.off_zero(n, base.values[n]) if n in parts else base.values[n] for n in candidate.values}
-        best = candidate_set.windows.settle(at, [*base.fitted, *parts], base.start, rounds=25)
+        best = candidate_set.windows.settle(at, [*base.fitted, *parts], base.start, 25, base.misfit * base.dof)
         misfit = best.cost / base.dof
         if misfit > base.misfit:
             return candidate._replace(misfit=base.misfit)
