@@ -8,6 +8,7 @@ import pytest
 
 from snakejax import cluster, preset, sweep
 from snakejax.core.errors import InputError
+from snakejax.simulation import dask_executor
 from snakejax.simulation.chunks import local_executor
 from snakejax.simulation.dask_executor import ClusterError
 from snakejax.simulation.ensemble import CHUNK
@@ -50,7 +51,7 @@ def fail(columns):
 
 
 @pytest.mark.slow
-def test_what_goes_wrong_on_a_cluster_is_one_line() -> None:
+def test_what_goes_wrong_on_a_cluster_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     from distributed import LocalCluster
 
     with LocalCluster(1, threads_per_worker=1, dashboard_address=None, processes=False) as workers:
@@ -59,13 +60,15 @@ def test_what_goes_wrong_on_a_cluster_is_one_line() -> None:
             assert dict(work(square, {3: {"a": np.ones(1), "b": np.ones(1)}}))[3]["square"] == [2.0]
         with pytest.raises(ClusterError, match="the third wheel came off"):
             dict(work(fail, {0: {"a": np.ones(1)}}))
+    monkeypatch.setattr(dask_executor, "PATIENCE", 1.0)
     nobody = LocalCluster(n_workers=0, threads_per_worker=1, dashboard_address=None, processes=False)
     with nobody, pytest.raises(InputError, match="has no workers"):
         cluster(nobody.scheduler_address)
 
 
 @pytest.mark.slow
-def test_a_scheduler_that_is_not_there_is_one_line() -> None:
+def test_a_scheduler_that_is_not_there_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dask_executor, "PATIENCE", 1.0)
     with pytest.raises(InputError, match=r"No Dask scheduler answers at tcp://127\.0\.0\.1:9"):
         cluster("tcp://127.0.0.1:9")
     with pytest.raises(InputError, match="No Dask scheduler answers at nonsense"):
