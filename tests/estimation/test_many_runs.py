@@ -24,6 +24,16 @@ def test_a_step_is_that_of_all_variables_at_once() -> None:
     assert np.isclose(promise, fall)
 
 
+def test_a_derivative_that_is_not_finite_moves_nothing_and_promises_nothing() -> None:
+    residual, jacobian = np.ones((R, N)), np.ones((R, N, K + S))
+    jacobian[2, 3, 0] = np.inf
+    with np.errstate(invalid="ignore"):
+        step, moves, promise = eliminated_step(
+            (residual, jacobian), K, np.ones((R, S)), 1e-3, (np.zeros(K), np.zeros(K))
+        )
+    assert not step.any() and not moves.any() and np.isnan(promise)
+
+
 def test_a_decay_is_found_beside_the_starts_of_all_runs() -> None:
     """y = s_k exp(-z t): scipy finds the same by all variables."""
     from scipy.optimize import least_squares

@@ -47,7 +47,8 @@ def eliminated_step(
     """One damped Gauss-Newton step: (K,) of the parameters, (R, S) of the starts, and the decrease it promises.
 
     `robust`: residual (R, m) and Jacobian (R, m, K + S); `prior`: (mean, 1 / variance) of the step, each (K,). The
-    start states are eliminated by the QR decomposition of their columns (Golub and Pereyra 1973).
+    start states are eliminated by the QR decomposition of their columns (Golub and Pereyra 1973). Where a derivative is
+    not finite the step is zero and promises NaN.
     """
     residual, jacobian = robust
     mean, precision = prior
@@ -64,7 +65,7 @@ def eliminated_step(
         right -= G.T @ r - inside.T @ rest
         parts.append((movable, triangle, inside, rest))
     if not (np.isfinite(normal).all() and np.isfinite(right).all()):
-        return np.zeros(width), np.zeros_like(free_start), 0.0
+        return np.zeros(width), np.zeros_like(free_start), np.nan
     size = np.maximum(np.diag(normal), 0.0)
     damped = normal + np.diag(damping * size + precision)
     scale = np.where(np.diag(damped) > 0, np.sqrt(np.abs(np.diag(damped))), 1.0)
