@@ -141,12 +141,7 @@ def solve_starts(
         moves, promise = np.zeros_like(starts), np.zeros(len(starts))
         cost = (residual**2).sum(axis=1)
         for k, (r, J) in enumerate(zip(residual, jacobian, strict=True)):
-            movable, S, S_damped = _damped(J[:, width:], free_start[k], damping[k])
-            if not (np.isfinite(r).all() and np.isfinite(J[:, width:]).all() and movable.any()):
-                continue
-            right = np.concatenate([-r, np.zeros(len(S_damped) - len(S))])
-            moves[k, movable] = np.linalg.lstsq(S_damped, right, rcond=1e-12)[0]
-            promise[k] = cost[k] - float(((r + S @ moves[k, movable]) ** 2).sum())
+            moves[k], promise[k] = start_step(r, J[:, width:], free_start[k], damping[k])
         moving = promise > np.maximum(ending.enough / len(starts), LITTLE * cost)
         moving &= damping < MOST_DAMPING
         if not moving.any():
@@ -162,6 +157,20 @@ def solve_starts(
         damping[numbers] *= 10
         damping[better] = np.maximum(damping[better] / 100, LEAST_DAMPING)
     return Solved(z, starts, taken, settled)
+
+
+def start_step(r: np.ndarray, S: np.ndarray, free_start: np.ndarray, damping: float) -> tuple[np.ndarray, float]:
+    """One damped Gauss-Newton step (S,) of the start of a run with the residual `r` (m,) and the columns `S` (m, S),
+    and the decrease of chi^2 that the linear model promises; zero where nothing can move or is not finite."""
+    move = np.zeros(len(free_start))
+    if not (np.isfinite(r).all() and np.isfinite(S).all()):
+        return move, 0.0
+    movable, S, S_damped = _damped(S, free_start, damping)
+    if not movable.any():
+        return move, 0.0
+    right = np.concatenate([-r, np.zeros(len(S_damped) - len(S))])
+    move[movable] = np.linalg.lstsq(S_damped, right, rcond=1e-12)[0]
+    return move, float(r @ r - ((r + S @ move[movable]) ** 2).sum())
 
 
 def _damped(S: np.ndarray, free_start: np.ndarray, damping: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -20,7 +20,7 @@ from snakejax.simulation.integrate import Accuracy
 from .block_linearisation import linearise_runs
 from .fit_journal import kept_fit
 from .linearisation import Linearised, domains_of
-from .many_runs import FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING, eliminated_step
+from .many_runs import FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING, eliminated_step, start_step
 from .problem import Problem, dependence_of
 
 ACCURACY = Accuracy(rtol=3e-6, atol=3e-8, max_steps=4000, derivative="forward")
@@ -29,7 +29,7 @@ LENGTH = 1.5
 """Length of a window [s]: long enough for an effect to show, short enough for residuals nearly linear in it."""
 ENOUGH = 0.003
 """The iteration ends with a step that lowers the cost by less than this fraction."""
-LITTLE = 0.1
+LEAST_DECREASE = 0.1
 """A decrease of chi^2 that is too small to go on for."""
 GROWTH = 10.0
 """Factor on the damping after a step that did not lower the cost; twice as large after each further one (Nielsen
@@ -149,7 +149,7 @@ class Windows(eqx.Module):
             flat = _flat(linearised, free, problem.width)
             step, moves, promise = eliminated_step(flat, len(free), free_start, damping, prior)
             hopeless = k >= PATIENCE and cost - promise > useful
-            if damping <= FIRST_DAMPING and (hopeless or promise < max(LITTLE, ENOUGH * cost)):
+            if damping <= FIRST_DAMPING and (hopeless or promise < max(LEAST_DECREASE, ENOUGH * cost)):
                 break
             trial = self._moved(current, free, step)
             trial_starts, trial_linearised = self._recovered(trial, free, starts + moves, linearised, cost)
@@ -162,7 +162,7 @@ class Windows(eqx.Module):
             decrease, cost = cost - trial_cost, trial_cost
             current, starts, linearised = trial, trial_starts, trial_linearised
             damping, growth = max(damping / 10, LEAST_DAMPING), GROWTH
-            if decrease < max(LITTLE, ENOUGH * cost):
+            if decrease < max(LEAST_DECREASE, ENOUGH * cost):
                 break
         return WindowSolution(current, starts, linearised, _cost(linearised))
 
@@ -193,20 +193,16 @@ class Windows(eqx.Module):
         for _ in range(START_ROUNDS):
             if not windows.size:
                 break
-            trial_starts, expected_decrease = starts.copy(), np.zeros(len(starts))
+            trial_starts, promise = starts.copy(), np.zeros(len(starts))
             for k in windows:
                 r, S = residual[k].reshape(-1), jacobian[k].reshape(residual[k].size, -1)[:, width:]
-                free_components = (free_start[k] > 0) & ((S**2).sum(axis=0) > 0)
-                if np.isfinite(r).all() and free_components.any():
-                    S = S[:, free_components]
-                    move = np.linalg.lstsq(*with_damping(S, damping[k], -r), rcond=1e-12)[0]
-                    trial_starts[k, free_components] += move
-                    expected_decrease[k] = (r @ r) - ((r + S @ move) ** 2).sum()
-            windows = windows[expected_decrease[windows] > ENOUGH * (residual[windows] ** 2).sum(axis=(1, 2)) + 0.1]
+                move, promise[k] = start_step(r, S, free_start[k], damping[k])
+                trial_starts[k] += move
+            cost = (residual**2).sum(axis=(1, 2))
+            windows = windows[promise[windows] > ENOUGH * cost[windows] + LEAST_DECREASE]
             if not windows.size:
                 break
             trial_linearised = linearise_runs(self.problem, values, trial_starts, windows, free)
-            cost = (residual**2).sum(axis=(1, 2))
             improved = np.array([k for k in windows if (trial_linearised.residual[k] ** 2).sum() < cost[k]], int)
             starts[improved], residual[improved], jacobian[improved] = (
                 trial_starts[improved],
@@ -240,14 +236,6 @@ def _flat(linearised: Linearised, free: Sequence[str], width: int) -> tuple[np.n
     residual, jacobian = (np.asarray(part) for part in linearised)
     used = [*range(len(free)), *range(width, jacobian.shape[-1])]
     return residual.reshape(len(residual), -1), jacobian.reshape(len(residual), -1, jacobian.shape[-1])[..., used]
-
-
-def with_damping(S: np.ndarray, damping: float, *others: np.ndarray) -> tuple[np.ndarray, ...]:
-    """`S` with the rows diag(sqrt(damping) |column|) appended, and `others` with as many rows of zeros."""
-    damping_rows = np.diag(np.sqrt(damping * (S**2).sum(axis=0)))
-    return np.concatenate([S, damping_rows]), *(
-        np.concatenate([o, np.zeros((len(damping_rows), *o.shape[1:]))]) for o in others
-    )
 
 
 class WindowSolution(NamedTuple):

@@ -58,7 +58,7 @@ class FittedLaw(NamedTuple):
 
     `deviance` (N,): -2 log density of train runs left out, block by block, under the noise and the random force beside
     the law; `mean_square` (R,): the error of whole runs left out; `rivals`: other laws, of another action or of other
-    variables, that do as well: other motions would tell; `exact`: whether nothing but white noise is left beside it.
+    variables, that do as well: other motions would tell.
     """
 
     name: str
@@ -69,7 +69,11 @@ class FittedLaw(NamedTuple):
     deviance: np.ndarray
     mean_square: np.ndarray
     rivals: tuple[str, ...] = ()
-    exact: bool = False
+
+    @property
+    def exact(self) -> bool:
+        """Whether nothing but white noise is left beside the law."""
+        return model_evidence(self.search, self.linear).exact
 
 
 def fit_law(
@@ -88,9 +92,7 @@ def fit_law(
 
 def _judged(name: str, proposal: Proposal, own_set: CandidateSet, own: Search, linear: Linear) -> FittedLaw:
     without, effects = left_out(own, linear), linear.point.effects
-    exact = model_evidence(own, linear).exact
-    errors = without.deviance(effects), without.mean_square(effects)
-    return FittedLaw(name, proposal, own_set, own, linear, *errors, exact=exact)
+    return FittedLaw(name, proposal, own_set, own, linear, without.deviance(effects), without.mean_square(effects))
 
 
 def without_idle_terms(

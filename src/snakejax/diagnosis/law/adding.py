@@ -61,8 +61,7 @@ class AddedLaws(NamedTuple):
 
     @property
     def leaves_nothing(self) -> bool:
-        """Whether the misfit is that of noise within its standard deviation, so that no law with as many parameters or
-        more is needed."""
+        """Whether the misfit is that of noise within its standard deviation."""
         return consistent_with_noise(self.fit.solution, sigmas=1.0)
 
 
@@ -161,6 +160,11 @@ def rivals_of(laws: Sequence[ProposedLaw]) -> list[ProposedLaw]:
     return [law for law in laws if law.left_out - 1 <= RIVAL * max(least, LEAST_EXCESS)][:TRIED]
 
 
+def is_needless(law: ProposedLaw, fitted: Sequence[AddedLaws]) -> bool:
+    """Whether a `law` need not be fitted, as one of those `fitted` leaves nothing and has no more parameters."""
+    return any(one.leaves_nothing and one.size <= len(law.parameters) for one in fitted)
+
+
 def best_laws(
     case: Case, noise: Noise, like: WorkingStep, last: WorkingStep, missing: LatentForce, progress: Progress
 ) -> list[AddedLaws]:
@@ -194,7 +198,7 @@ def best_laws(
 
     trials: list[AddedLaws] = []
     for law in rivals_of(missing.laws):
-        if any(trial.leaves_nothing and trial.size <= len(law.parameters) for trial in trials):
+        if is_needless(law, trials):
             continue
         trial = added((law,))
         if trial is not None:
@@ -225,7 +229,7 @@ def exact_law(
     exact_laws: list[AddedLaws] = []
     most = largest_noise_misfit(missing.windows.samples)
     for law in [law for law in missing.laws if law.left_out <= most][:TRIED]:
-        if any(one.leaves_nothing and one.size <= len(law.parameters) for one in exact_laws):
+        if is_needless(law, exact_laws):
             continue
         progress(ProgressEvent(Phase.LAW_FIT, f"fitting {law.expression} to whole runs"))
         try:
