@@ -3,6 +3,7 @@ what its equation says."""
 
 import functools
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -66,7 +67,7 @@ def done_and_seen(model: Model, body, memories, kind: str):
 
 def rates(model: Model, kind: str) -> np.ndarray:
     """The rates of the body where it moves, and its observed pose."""
-    return np.asarray(done_and_seen(model, *start_of(model), kind))
+    return np.asarray(eqx.filter_jit(done_and_seen)(model, *start_of(model), kind))
 
 
 @functools.cache
@@ -88,7 +89,7 @@ def moved_by_each(kind: str, structure: str) -> dict[str, np.ndarray]:
         varied = with_parameters(full, dict(zip(names, row, strict=True)))
         return done_and_seen(varied, body, memories, kind)
 
-    found = np.asarray(jax.vmap(rates_at)(jnp.asarray(rows)))
+    found = np.asarray(jax.jit(jax.vmap(rates_at))(jnp.asarray(rows)))
     return dict(zip(["", *able], found - rates(model, kind), strict=True))
 
 

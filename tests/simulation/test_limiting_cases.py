@@ -28,12 +28,17 @@ def all_solvers(model: Model, gait: Gait, seconds: float) -> tuple[np.ndarray, n
     return np.asarray(alone), *(simulate_many(stacked([model]), gait, times, engine=e)[0, -1] for e in engines)
 
 
+def gait(phi: list[list[float]], psi: list[list[float]]) -> Gait:
+    """Sines for the joints of `FORWARD`, so that its programs serve."""
+    return eqx.tree_at(lambda g: (g.phi.command, g.psi.command), FORWARD.gait, (Sines.of(phi), Sines.of(psi)))
+
+
 def steered(amplitude: float) -> Gait:
     return eqx.tree_at(lambda g: g.phi.command.amplitude, FORWARD.gait, jnp.array([amplitude]))
 
 
-REVERSED = Gait(Sines.of([[0.8, 3.0, np.pi]]), Sines.of([[1.2, 3.0, 0.0]]))
-STILL = Gait(Sines.of([[0.0, 1.0, 0.0]]), Sines.of([[0.0, 1.0, 0.0]]))
+REVERSED = gait([[0.8, 3.0, np.pi]], [[1.2, 3.0, 0.0]])
+STILL = gait([[0.0, 1.0, 0.0]], [[0.0, 1.0, 0.0]])
 RIGHT = {
     "stiff coupled": (Model(ROTATE.model.board, Rayleigh(1e5), "coupled"), ROTATE.gait, 2.0),
     "stiff free": (Model(ROTATE.model.board, Rayleigh(1e4), "free"), ROTATE.gait, 2.0),

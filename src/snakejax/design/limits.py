@@ -7,6 +7,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -139,8 +140,13 @@ def reached(signal: AbstractSignal, until: float, step: float) -> Joint:
     if isinstance(signal, Scaled):
         return Joint(*(jnp.abs(signal.factor) * part for part in reached(signal.signal, until, step)))
     count = max(int(np.ceil(until / step)), 1)
-    step = until / count
-    samples = jax.vmap(signal.at)(jnp.linspace(0.0, until, count + 1))
+    return _between(signal, jnp.linspace(0.0, until, count + 1), jnp.asarray(until / count))
+
+
+@eqx.filter_jit  # else each operation is a program of its own
+def _between(signal: AbstractSignal, grid: Float[Array, " n+1"], step: Scalar) -> Joint:
+    """`reached` between the points of a `grid` [s] in equal steps."""
+    samples = jax.vmap(signal.at)(grid)
     second, third = bend_bounds(signal)
     excess = (step**2 / 8 * second, step**2 / 8 * third, step / 2 * third)
     return Joint(*(jnp.maximum(jnp.abs(p[1:]), jnp.abs(p[:-1])) + b for p, b in zip(samples, excess, strict=True)))

@@ -45,15 +45,19 @@ Engine = Literal["fastest", "taylor", "tsit5"]
 """How an ensemble is integrated: by Taylor series, by Tsit5, or by the fastest that is present and applies."""
 Members = tuple[Model, AbstractInputs | None, Float[Array, "V k"]]
 """Stacked models, stacked gaits and starts of the members."""
+Tolerances = tuple[Array, Array, Array]
+"""Relative and absolute error, and the largest number of steps: arguments, so that one program serves any accuracy."""
 Leaves = list[Float[Array, " B"]]
 Rates = Callable[[Float[Array, " B"], Leaves], Leaves]
 
 
-def _block(rates: Rates, y: Leaves, times: Float[Array, "n B"], t: Float[Array, " B"], accuracy: Accuracy):
+def _block(rates: Rates, y: Leaves, times: Float[Array, "n B"], t: Float[Array, " B"], accuracy: Tolerances):
     """The states (n, B) at `times` of one block of members that start at `t`, and whether each member reached the end.
 
     A member that reaches the next time waits there for the others.
     """
+
+    rtol, atol, most_steps = accuracy
 
     def advance(carry, target):
         def step(carry):
@@ -70,7 +74,7 @@ def _block(rates: Rates, y: Leaves, times: Float[Array, "n B"], t: Float[Array, 
             # The last stage of the method is its solution.
             square = jnp.zeros_like(t)
             for i, (a, b) in enumerate(zip(y, new_state, strict=True)):
-                scale = accuracy.atol + accuracy.rtol * jnp.maximum(jnp.abs(a), jnp.abs(b))
+                scale = atol + rtol * jnp.maximum(jnp.abs(a), jnp.abs(b))
                 e = h * _combined(_ERROR, [s[i] for s in slopes])
                 square = square + (e / scale) ** 2
             square = square / len(y)
@@ -80,17 +84,17 @@ def _block(rates: Rates, y: Leaves, times: Float[Array, "n B"], t: Float[Array, 
             factor = jnp.where(jnp.isfinite(square), jnp.clip(_SAFETY / root, _LEAST, _MOST), _LEAST)
             grown = h * factor
             h_next = jnp.where(accepted & (h < h_next), jnp.maximum(grown, h_next), grown)
-            active = (remaining > 0) & (taken < accuracy.max_steps)
+            active = (remaining > 0) & (taken < most_steps)
             moves = accepted & active
             t = jnp.where(moves, jnp.where(last, target, t + h), t)
             y = [jnp.where(moves, b, a) for a, b in zip(y, new_state, strict=True)]
             first = [jnp.where(moves, b, a) for a, b in zip(first, slopes[-1], strict=True)]
             # Below the least step, as with rates that are not finite, the member has failed.
-            taken = jnp.where(h_next < LEAST_STEP, float(accuracy.max_steps), taken + 1.0)
+            taken = jnp.where(h_next < LEAST_STEP, most_steps, taken + 1.0)
             return t, y, first, jnp.where(active, h_next, carry[3]), jnp.where(active, taken, carry[4])
 
         def busy(carry):
-            return jnp.any((carry[0] < target) & (carry[4] < accuracy.max_steps))
+            return jnp.any((carry[0] < target) & (carry[4] < most_steps))
 
         carry = jax.lax.while_loop(busy, step, carry)
         return carry, carry[1]
@@ -109,7 +113,7 @@ def _moved(p: Array, h: Array, row: list[float], slopes: list[Array]) -> Array:
 
 
 def _poses(
-    models: Model, gaits: AbstractInputs, times: Array, start: Array, accuracy: Accuracy
+    models: Model, gaits: AbstractInputs, times: Array, start: Array, accuracy: Tolerances
 ) -> Float[Array, "B n 3"]:
     """Poses (B, n, 3) of one block, infinite for a member that did not reach the end."""
     gaits = jax.vmap(lambda model, gait: model.prepared(gait))(models, gaits)
@@ -132,7 +136,7 @@ def _poses(
 
 
 def _chunk(
-    members: Members, count: Array, gait: AbstractInputs | None, times: Array, accuracy: Accuracy
+    members: Members, count: Array, gait: AbstractInputs | None, times: Array, accuracy: Tolerances
 ) -> Float[Array, "V n 3"]:
     """Poses (V, n, 3) of the first `count` members of a chunk, block by block."""
 
@@ -157,30 +161,27 @@ _PROGRAMS: dict[Any, Any] = {}
 _COMPILING = threading.Lock()
 
 
-def _program(devices: int, arguments: tuple, accuracy: Accuracy):
+def _program(devices: int, arguments: tuple):
     """`_chunk` compiled for `arguments`, on one device or with one chunk on each; compiled once for all threads."""
     leaves, structure = jax.tree.flatten(arguments)
-    key = (devices, accuracy, structure, *((leaf.shape, leaf.dtype) for leaf in leaves))
+    key = (devices, structure, *((leaf.shape, leaf.dtype) for leaf in leaves))
     with _COMPILING:
         if key not in _PROGRAMS:
-            function = jax.jit(_alone if devices == 1 else _shared, static_argnums=4, compiler_options=_OPTIONS)
-            _PROGRAMS[key] = function.lower(*arguments, accuracy).compile()
+            function = jax.jit(_alone if devices == 1 else _shared, compiler_options=_OPTIONS)
+            _PROGRAMS[key] = function.lower(*arguments).compile()
         return _PROGRAMS[key]
 
 
-def _alone(members: Members, counts: Array, gait: AbstractInputs | None, times: Array, accuracy: Accuracy) -> Array:
+def _alone(members: Members, counts: Array, gait: AbstractInputs | None, times: Array, accuracy: Tolerances) -> Array:
     return _chunk(members, counts[0], gait, times, accuracy)
 
 
-def _shared(members: Members, counts: Array, gait: AbstractInputs | None, times: Array, accuracy: Accuracy) -> Array:
+def _shared(members: Members, counts: Array, gait: AbstractInputs | None, times: Array, accuracy: Tolerances) -> Array:
     mesh = Mesh(np.array(jax.local_devices()), ("lanes",))
     each, all_ = PartitionSpec("lanes"), PartitionSpec()
 
-    def sharded(members, counts, gait, times):
-        return _alone(members, counts, gait, times, accuracy)
-
-    specs = dict(in_specs=(each, each, all_, all_), out_specs=each)
-    return jax.shard_map(sharded, mesh=mesh, check_vma=False, **specs)(members, counts, gait, times)  # type: ignore
+    specs = dict(in_specs=(each, each, all_, all_, all_), out_specs=each)
+    return jax.shard_map(_alone, mesh=mesh, check_vma=False, **specs)(members, counts, gait, times, accuracy)  # type: ignore
 
 
 def simulate_many(
@@ -269,7 +270,8 @@ def _by_tsit5(
     """The poses of the `members` by Tsit5, in chunks of one size."""
     count, own_gaits = members.size, ensemble.own_gaits
     stacked_parts = (ensemble.models, ensemble.gaits if own_gaits else None, ensemble.starts)
-    common = (None if own_gaits else ensemble.gaits, ensemble.times)
+    tolerances = tuple(np.float64(number) for number in (accuracy.rtol, accuracy.atol, accuracy.max_steps))
+    common = (None if own_gaits else ensemble.gaits, ensemble.times, tolerances)
     devices = jax.local_device_count()
     share = CHUNK * devices
 
@@ -281,7 +283,7 @@ def _by_tsit5(
         sizes = np.minimum(per_device, needed - begins)
         rows = members[np.minimum(first + begins[:, None] + np.arange(CHUNK), count - 1).ravel()]
         arguments = (jax.tree.map(lambda leaf: leaf[rows], stacked_parts), sizes, *common)
-        poses = np.asarray(_program(devices, arguments, accuracy)(*arguments))
+        poses = np.asarray(_program(devices, arguments)(*arguments))
         return np.concatenate([poses[CHUNK * d : CHUNK * d + size] for d, size in enumerate(sizes)])
 
     firsts = range(0, count, share)

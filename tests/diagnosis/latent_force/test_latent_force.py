@@ -159,13 +159,14 @@ def test_the_starter_loads_and_is_neutral_at_its_default(name, tmp_path):
     state = model.initial_state((0.4, -0.3, 1.0, 0.3, 0.05, 0.4), jnp.asarray(0.3), gait)
     names = [part for part, _ in own_parameters(kind())]
 
+    @jax.jit
     def rates(step):
         acting = model.add(mine=kind(**{part: step[k] for k, part in enumerate(names)}))
         return jnp.stack(acting.rates(jnp.asarray(0.3), state, gait)[0])
 
     zero = jnp.zeros(len(names))
     np.testing.assert_allclose(rates(zero), jnp.stack(model.rates(jnp.asarray(0.3), state, gait)[0]), atol=1e-12)
-    slopes = jax.jacfwd(rates)(zero)
+    slopes = jax.jit(jax.jacfwd(rates))(zero)
     assert np.isfinite(slopes).all() and (np.abs(slopes).sum(axis=0) > 0).all()
 
 
