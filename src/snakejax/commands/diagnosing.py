@@ -65,7 +65,7 @@ def diagnose(case: Case | Path | str, **options: Unpack[ExplainOptions]) -> Diag
 
 def diagnose_case(case: Case, options: ExplainOptions) -> Diagnosis:
     """The diagnosis of an inspected `case`. **Raises:** as `fit`."""
-    case = with_fewer_windows(case) if options.get("quick") else case
+    case = as_wide_as_asked(case, options)
     question = question_of(case, options)
     if windows.supports(case):
         return windows.diagnose_windows(case, question.noise, question.library, **question.options)
@@ -89,16 +89,22 @@ def explain_case(case: Case, options: ExplainOptions) -> Explanation:
     if key := options.get("by"):
         what = f"`explain` does not search for differences by {key}"
         raise InputError(what, f"{BY} {key}", "rank what differs with `snakejax diagnose`, estimate it with `fit`")
-    case = with_fewer_windows(case) if options.get("quick") else case
+    case = as_wide_as_asked(case, options)
     question = question_of(case, options)
     return explained(case, question.noise, question.library, **question.options)
 
 
 def plan_case(case: Case, options: ExplainOptions) -> Plan:
     """What `explain` would try on an inspected `case`. **Raises:** `InputError` as `explain`."""
+    case = as_wide_as_asked(case, options)
     question = question_of(case, options)
     options_of_plan = {key: value for key, value in question.options.items() if key in ("held", "with_", "switch")}
     return plan_of(case, question.library, start=question.start, **options_of_plan)  # type: ignore[arg-type]
+
+
+def as_wide_as_asked(case: Case, options: ExplainOptions) -> Case:
+    """`case`, or with `quick` a tenth of the windows of each of its recordings."""
+    return with_fewer_windows(case) if options.get("quick") else case
 
 
 def question_of(case: Case, options: ExplainOptions) -> Question:

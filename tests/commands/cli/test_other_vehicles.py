@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.folders import DATA
 from helpers.schema import deviations
 from helpers.vehicle_case import steps, write_case
 
@@ -116,6 +117,15 @@ def test_a_plan_leaves_the_result_of_an_explanation_as_it_is(car: Path, tmp_path
     assert main(["explain", str(car), "--plan", "--out", str(tmp_path), "--quiet"]) == 0
     assert (tmp_path / "explain.json").read_text() == "a result of minutes"
     assert "candidates" in json.loads((tmp_path / "plan.json").read_text())
+
+
+def test_a_plan_names_the_windows_that_a_first_look_takes(capsys: pytest.CaptureFixture) -> None:
+    taken = {}
+    for words in ((), ("--quick",)):
+        assert main(["explain", str(DATA / "car"), "--plan", *words, "--json", "-", "--quiet"]) == 0
+        taken[words] = json.loads(capsys.readouterr().out)["train"]
+    assert set(taken["--quick",]) < set(taken[()])
+    assert len(taken["--quick",]) <= len(taken[()]) / 5
 
 
 def test_the_result_is_told_before_it_is_drawn(
