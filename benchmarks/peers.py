@@ -19,6 +19,7 @@ import statistics
 import sys
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 from snakejax import prepare_jax
 
@@ -156,17 +157,34 @@ def by_sindy(case, noise, bench: CandidateSet, step: CandidateFit, model: Model)
     return best[1], misfit(model.add(discrepancy=best[2]), case, noise, "heldout")
 
 
-def by_process(case, noise, bench: CandidateSet, step: CandidateFit, model: Model) -> tuple[str, float]:
+class Latent(NamedTuple):
+    """The missing force that our smoother estimates: `variables` (N, 12), `force` and `sd` (N, 3), the train run of
+    each row, and the tyre of that estimate by name."""
+
+    variables: np.ndarray
+    force: np.ndarray
+    sd: np.ndarray
+    run: np.ndarray
+    tyre: dict[str, float]
+
+
+def latent(case, bench: CandidateSet, step: CandidateFit, model: Model) -> Latent:
+    """What the ways that regress the missing force start from."""
     missing = estimate_latent_force(bench, step)
     rows = []
-    for found, run in zip(missing.runs, case.having("train"), strict=True):
+    for k, (found, run) in enumerate(zip(missing.runs, case.having("train"), strict=True)):
         v, _ = _along(model, run.gait, run.times, jnp.asarray(initial_states(model, run)))
         at = np.searchsorted(np.asarray(run.times), found.t[1:-1]).clip(0, len(run.times) - 1)
-        rows.append((np.asarray(v)[at], found.force[1:-1], found.sd[1:-1]))
-    V, F, S = (np.concatenate(parts) for parts in zip(*rows, strict=True))
-    pick = np.random.default_rng(0).permutation(len(V))[:KNOTS]
-    scale = V.std(axis=0) + 1e-9
-    V, F, S = V[pick] / scale, F[pick], S[pick]
+        rows.append((np.asarray(v)[at], found.force[1:-1], found.sd[1:-1], np.full(len(at), k)))
+    known = {name: e.value for name, e in missing.estimates.items() if name.startswith("tyre.")}
+    return Latent(*(np.concatenate(parts) for parts in zip(*rows, strict=True)), known)
+
+
+def by_process(case, noise, bench: CandidateSet, step: CandidateFit, model: Model) -> tuple[str, float]:
+    known = latent(case, bench, step, model)
+    pick = np.random.default_rng(0).permutation(len(known.run))[:KNOTS]
+    scale = known.variables.std(axis=0) + 1e-9
+    V, F, S = known.variables[pick] / scale, known.force[pick], known.sd[pick]
     length, weights, mean = np.ones((3, V.shape[1])), np.zeros((len(V), 3)), np.zeros(3)
     for k in range(3):
         if not np.isfinite(S[:, k]).all():
@@ -179,9 +197,13 @@ def by_process(case, noise, bench: CandidateSet, step: CandidateFit, model: Mode
         length[k] = factor.k2.length_scale
         weights[:, k] = process.alpha_.ravel() * factor.k1.constant_value * size
     force = Process(*(jnp.asarray(part) for part in (scale, V, length, weights, mean)))
-    known = {name: e.value for name, e in missing.estimates.items() if name.startswith("tyre.")}
-    model = with_parameters(model, known).add(residual=force)
-    return f"train {misfit(model, case, noise, 'train'):.3g}", misfit(model, case, noise, "heldout")
+    return judged(model, known, force, case, noise)
+
+
+def judged(model: Model, known: Latent, force: Force, case, noise, what: str = "") -> tuple[str, float]:
+    """Train and held-out misfit of the model with the tyre of `known` and a regressed `force`."""
+    model = with_parameters(model, known.tyre).add(residual=force)
+    return f"{what}train {misfit(model, case, noise, 'train'):.3g}", misfit(model, case, noise, "heldout")
 
 
 def ours(case, noise, bench: CandidateSet, step: CandidateFit, model: Model) -> tuple[str, float]:
@@ -203,7 +225,7 @@ def main(folder: Path, names: list[str]) -> None:
         case = load_case(folder / name)
         noise = noise_of(case)
         bench = CandidateSet.of(starting_model(case), case, noise, CANDIDATES)
-        step = CandidateFit((), base_fit(bench))
+        step = base_fit(bench)
         model = bench.problem.fitted(step.solution).without(*bench.problem.model.effects)
         heldout = fit_heldout_starts(bench.problem, step.solution.values)
         print(f"{name}: base train {step.solution.misfit:.4g}, held out {heldout.misfit if heldout else math.nan:.4g}")

@@ -1,0 +1,195 @@
+"""Other ways to a law that no library holds, on boards with a hidden one: held-out misfit and seconds of each.
+
+    python benchmarks/law_peers.py ["STRUCTURE NAME" ...]     the boards of benchmarks/boards.py, default: all
+
+All start from the same base model (four fitted tyre parameters) and are validated on the same held-out runs, on which
+only the start poses are estimated. Each line names the variable on which the hidden law depends.
+
+PySINDy   as in benchmarks/peers.py.
+GP        as in benchmarks/peers.py: a Gaussian process of the missing force that our smoother estimates.
+gplearn   symbolic regression (genetic programming) of each component of that force on the same twelve variables, where
+          pysr would need Julia: 2000 formulas in 20 generations, sums, products, quotients, sine, cosine, |x|.
+network   a neural residual in equinox: two hidden layers of 16 (tanh) from the same variables to the same force,
+          fitted by Levenberg-Marquardt; its weight decay is the one that predicts the last train run best.
+"""
+
+import math
+import statistics
+import sys
+import time
+
+import boards
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix
+import peers
+from gplearn.genetic import SymbolicRegressor
+from peers import CANDIDATES, Latent, by_process, by_sindy, judged, latent, variables
+
+from snakejax import Force, Model, Motion
+from snakejax.commands.cli.pipeline import Stopwatch, start_jax
+from snakejax.diagnosis.selection.candidates import CandidateFit, CandidateSet
+from snakejax.diagnosis.selection.refit import base_fit
+from snakejax.estimation.fit_workspace import fit_heldout_starts
+from snakejax.estimation.initial_model import starting_model
+
+WIDTH = 16
+DECAYS = (1.0, 10.0, 100.0, 1000.0)
+"""Weight decays: standard deviations of the residual for a weight of one."""
+FUNCTIONS = {
+    "add": jnp.add,
+    "sub": jnp.subtract,
+    "mul": jnp.multiply,
+    "div": lambda a, b: jnp.where(jnp.abs(b) > 0.001, a / jnp.where(jnp.abs(b) > 0.001, b, 1.0), 1.0),
+    "sin": jnp.sin,
+    "cos": jnp.cos,
+    "abs": jnp.abs,
+}
+"""The functions of gplearn, with its protected quotient."""
+ARITY = {"add": 2, "sub": 2, "mul": 2, "div": 2}
+
+
+class Formula(Force):
+    """A formula of the scaled variables for each component, in prefix notation as gplearn has it."""
+
+    scale: jax.Array
+    size: jax.Array
+    programs: tuple[tuple[str | int | float, ...], ...] = eqx.field(static=True)
+
+    def wrench(self, motion: Motion):
+        v = variables(motion) / self.scale
+        values = [jnp.clip(_value(list(program), v), -50, 50) for program in self.programs]
+        return tuple(size * value for size, value in zip(self.size, values, strict=True))
+
+
+def _value(left: list, v: jax.Array) -> jax.Array:
+    """The value of the formula at the front of `left`, which is taken off."""
+    node = left.pop(0)
+    if isinstance(node, str):
+        return FUNCTIONS[node](*(_value(left, v) for _ in range(ARITY.get(node, 1))))
+    return v[node] if isinstance(node, int) else jnp.asarray(node)
+
+
+class Network(Force):
+    """The wrench that a network gives for the scaled variables."""
+
+    scale: jax.Array
+    size: jax.Array
+    network: eqx.nn.MLP
+
+    def wrench(self, motion: Motion):
+        return tuple(self.size * self.network(variables(motion) / self.scale))
+
+
+def scales(known: Latent) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Size of the variables (12,), of the force (3,), and which components these runs show (3,)."""
+    determined = np.isfinite(known.sd).all(axis=0)
+    force = np.where(determined, known.force, 0.0)
+    return known.variables.std(axis=0) + 1e-9, force.std(axis=0) + 1e-9, determined
+
+
+def by_formula(case, noise, bench: CandidateSet, step: CandidateFit, model: Model) -> tuple[str, float]:
+    known = latent(case, bench, step, model)
+    scale, size, determined = scales(known)
+    programs: list[tuple[str | int | float, ...]] = []
+    for k in range(3):
+        if not determined[k]:
+            programs.append((0.0,))
+            continue
+        search = SymbolicRegressor(
+            population_size=2000,
+            generations=20,
+            function_set=tuple(FUNCTIONS),
+            parsimony_coefficient=0.001,
+            random_state=0,
+        )
+        search.fit(known.variables / scale, known.force[:, k] / size[k], sample_weight=1 / known.sd[:, k] ** 2)
+        nodes = search._program.program
+        programs.append(tuple(getattr(node, "name", node) if not isinstance(node, float) else node for node in nodes))
+    # An index of gplearn may be an integer of numpy, which a formula would not hold apart from a constant.
+    plain = tuple(
+        tuple(n if isinstance(n, str) else float(n) if isinstance(n, float) else int(n) for n in program)
+        for program in programs
+    )
+    return judged(model, known, Formula(jnp.asarray(scale), jnp.asarray(size), plain), case, noise)
+
+
+def by_network(case, noise, bench: CandidateSet, step: CandidateFit, model: Model) -> tuple[str, float]:
+    known = latent(case, bench, step, model)
+    scale, size, determined = scales(known)
+    V = jnp.asarray(known.variables / scale)
+    F = jnp.asarray(np.where(determined, known.force, 0.0) / size)
+    weight = jnp.asarray(np.where(determined, size / np.where(determined, known.sd, 1.0), 0.0))
+    start, rest = eqx.partition(eqx.nn.MLP(V.shape[1], 3, WIDTH, 2, jnp.tanh, key=jax.random.key(0)), eqx.is_array)
+    last = jnp.asarray(known.run == known.run.max())
+
+    def residual(parameters, parts):
+        rows, decay = parts
+        apart = jnp.where(rows[:, None], (jax.vmap(eqx.combine(parameters, rest))(V) - F) * weight, 0.0)
+        weights = jnp.concatenate([w.ravel() for w in jax.tree.leaves(parameters)])
+        return jnp.concatenate([apart.ravel(), decay * weights])
+
+    @eqx.filter_jit
+    def fitted(rows, decay):
+        solver = optimistix.LevenbergMarquardt(rtol=1e-4, atol=1e-6)
+        return optimistix.least_squares(residual, solver, start, (rows, decay), max_steps=200, throw=False).value
+
+    def unseen(decay: float) -> float:
+        return float((residual(fitted(~last, jnp.asarray(decay)), (last, 0.0)) ** 2).sum())
+
+    decay = min(DECAYS, key=unseen)
+    network = eqx.combine(fitted(jnp.ones_like(last), jnp.asarray(decay)), rest)
+    force = Network(jnp.asarray(scale), jnp.asarray(np.where(determined, size, 0.0)), network)
+    return judged(model, known, force, case, noise, f"decay {decay}, ")
+
+
+WAYS = {
+    "snakejax": peers.ours,
+    "PySINDy": by_sindy,
+    "GP": by_process,
+    "gplearn": by_formula,
+    "network": by_network,
+}
+
+
+def main(chosen: list[str]) -> None:
+    """One line a board and method; the medians, and on how many boards each way predicts held-out runs best."""
+    start_jax()
+    known = {**boards.STRANGERS, **boards.MORE_STRANGERS}
+    kinds = [f"{structure} {name}" for name in known for structure in boards.STRUCTURES]
+    left: dict[str, list[float]] = {}
+    seconds: dict[str, list[float]] = {}
+    for key in chosen or kinds:
+        structure, name = key.split()
+        k = list(known).index(name)
+        effect, variable = known[name]
+        case = boards.case(boards.make_long(5000 + k, structure), 5000 + k, **{name: effect})
+        bench = CandidateSet.of(starting_model(case), case, boards.NOISE, CANDIDATES)
+        step = base_fit(bench)
+        model = bench.problem.fitted(step.solution).without(*bench.problem.model.effects)
+        heldout = fit_heldout_starts(bench.problem, step.solution.values)
+        before = heldout.misfit if heldout else math.nan
+        print(f"{key} ({variable}): base train {step.solution.misfit:.4g}, held out {before:.4g}", flush=True)
+        for way, work in WAYS.items():
+            clock, begin = Stopwatch(), time.perf_counter()
+            try:
+                what, held = work(case, boards.NOISE, bench, step, model)
+            except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
+                what, held = f"failed: {str(error)[:60]}", math.nan
+            spent = time.perf_counter() - begin - clock.seconds()["compile"]
+            seconds.setdefault(way, []).append(spent)
+            left.setdefault(way, []).append(held)
+            print(f"  {way:9} held out {held:10.4g}   {spent:6.1f} s   {what}", flush=True)
+    for way, found in left.items():
+        best = sum(mine <= min(each) for mine, *each in zip(found, *left.values(), strict=True))
+        below = sum(held < 2 for held in found)
+        wins = f"below 2 on {below} of {len(found)}, best on {best}"
+        print(
+            f"{way:9} median held out {statistics.median(found):.4g}, {wins}; {statistics.median(seconds[way]):.1f} s"
+        )
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
