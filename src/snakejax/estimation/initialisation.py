@@ -182,6 +182,8 @@ def has_converged(problem: Problem, solution: Solution, runs: Sequence[int]) -> 
     """
     if solution.converged:
         return True
+    if not np.isfinite(solution.covariance).all():
+        return False
     columns = [solution.free.index(name) for name in solution.loose]
     free_start = np.asarray(problem.batch.free_start)
     parts = [project_out_starts(solution.linearised, k, problem.width, free_start) for k in runs]
