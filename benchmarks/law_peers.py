@@ -11,29 +11,29 @@ gplearn   symbolic regression (genetic programming) of each component of that fo
           pysr would need Julia: 2000 formulas in 20 generations, sums, products, quotients, sine, cosine, |x|.
 network   a neural residual in equinox: two hidden layers of 16 (tanh) from the same variables to the same force,
           fitted by Levenberg-Marquardt; its weight decay is the one that predicts the last train run best.
+
+The seconds of the last three hold the estimate of that force, which each makes for itself.
 """
 
-import math
 import statistics
 import sys
-import time
 
-import boards
-import equinox as eqx
-import jax
-import jax.numpy as jnp
-import numpy as np
-import optimistix
-import peers
-from gplearn.genetic import SymbolicRegressor
-from peers import CANDIDATES, Latent, by_process, by_sindy, judged, latent, variables
+from snakejax import prepare_jax
 
-from snakejax import Force, Model, Motion
-from snakejax.commands.cli.pipeline import Stopwatch, start_jax
-from snakejax.diagnosis.selection.candidates import CandidateFit, CandidateSet
-from snakejax.diagnosis.selection.refit import base_fit
-from snakejax.estimation.fit_workspace import fit_heldout_starts
-from snakejax.estimation.initial_model import starting_model
+prepare_jax()
+
+import boards  # noqa: E402
+import equinox as eqx  # noqa: E402
+import jax  # noqa: E402
+import jax.numpy as jnp  # noqa: E402
+import numpy as np  # noqa: E402
+import optimistix  # noqa: E402
+from gplearn.genetic import SymbolicRegressor  # noqa: E402
+from peers import Latent, by_process, by_sindy, judged, latent, ours, side_by_side, variables  # noqa: E402
+
+from snakejax import Force, Model, Motion  # noqa: E402
+from snakejax.commands.cli.pipeline import start_jax  # noqa: E402
+from snakejax.diagnosis.selection.candidates import CandidateFit, CandidateSet  # noqa: E402
 
 WIDTH = 16
 DECAYS = (1.0, 10.0, 100.0, 1000.0)
@@ -49,6 +49,8 @@ FUNCTIONS = {
 }
 """The functions of gplearn, with its protected quotient."""
 ARITY = {"add": 2, "sub": 2, "mul": 2, "div": 2}
+Node = str | int | float
+"""The name of a function, the index of a variable, or a constant."""
 
 
 class Formula(Force):
@@ -56,7 +58,7 @@ class Formula(Force):
 
     scale: jax.Array
     size: jax.Array
-    programs: tuple[tuple[str | int | float, ...], ...] = eqx.field(static=True)
+    programs: tuple[tuple[Node, ...], ...] = eqx.field(static=True)
 
     def wrench(self, motion: Motion):
         v = variables(motion) / self.scale
@@ -93,7 +95,7 @@ def scales(known: Latent) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def by_formula(case, noise, bench: CandidateSet, step: CandidateFit, model: Model) -> tuple[str, float]:
     known = latent(case, bench, step, model)
     scale, size, determined = scales(known)
-    programs: list[tuple[str | int | float, ...]] = []
+    programs: list[tuple[Node, ...]] = []
     for k in range(3):
         if not determined[k]:
             programs.append((0.0,))
@@ -106,14 +108,13 @@ def by_formula(case, noise, bench: CandidateSet, step: CandidateFit, model: Mode
             random_state=0,
         )
         search.fit(known.variables / scale, known.force[:, k] / size[k], sample_weight=1 / known.sd[:, k] ** 2)
-        nodes = search._program.program
-        programs.append(tuple(getattr(node, "name", node) if not isinstance(node, float) else node for node in nodes))
-    # An index of gplearn may be an integer of numpy, which a formula would not hold apart from a constant.
-    plain = tuple(
-        tuple(n if isinstance(n, str) else float(n) if isinstance(n, float) else int(n) for n in program)
-        for program in programs
-    )
-    return judged(model, known, Formula(jnp.asarray(scale), jnp.asarray(size), plain), case, noise)
+        programs.append(tuple(_plain(node) for node in search._program.program))
+    return judged(model, known, Formula(jnp.asarray(scale), jnp.asarray(size), tuple(programs)), case, noise)
+
+
+def _plain(node) -> Node:
+    """A node of gplearn: the name of a function, a constant, or the index of a variable, which numpy may have made."""
+    return float(node) if isinstance(node, float) else getattr(node, "name", None) or int(node)
 
 
 def by_network(case, noise, bench: CandidateSet, step: CandidateFit, model: Model) -> tuple[str, float]:
@@ -146,7 +147,7 @@ def by_network(case, noise, bench: CandidateSet, step: CandidateFit, model: Mode
 
 
 WAYS = {
-    "snakejax": peers.ours,
+    "snakejax": ours,
     "PySINDy": by_sindy,
     "GP": by_process,
     "gplearn": by_formula,
@@ -159,36 +160,18 @@ def main(chosen: list[str]) -> None:
     start_jax()
     known = {**boards.STRANGERS, **boards.MORE_STRANGERS}
     kinds = [f"{structure} {name}" for name in known for structure in boards.STRUCTURES]
-    left: dict[str, list[float]] = {}
-    seconds: dict[str, list[float]] = {}
+    results: list[dict[str, tuple[float, float]]] = []
     for key in chosen or kinds:
         structure, name = key.split()
         k = list(known).index(name)
         effect, variable = known[name]
         case = boards.case(boards.make_long(5000 + k, structure), 5000 + k, **{name: effect})
-        bench = CandidateSet.of(starting_model(case), case, boards.NOISE, CANDIDATES)
-        step = base_fit(bench)
-        model = bench.problem.fitted(step.solution).without(*bench.problem.model.effects)
-        heldout = fit_heldout_starts(bench.problem, step.solution.values)
-        before = heldout.misfit if heldout else math.nan
-        print(f"{key} ({variable}): base train {step.solution.misfit:.4g}, held out {before:.4g}", flush=True)
-        for way, work in WAYS.items():
-            clock, begin = Stopwatch(), time.perf_counter()
-            try:
-                what, held = work(case, boards.NOISE, bench, step, model)
-            except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
-                what, held = f"failed: {str(error)[:60]}", math.nan
-            spent = time.perf_counter() - begin - clock.seconds()["compile"]
-            seconds.setdefault(way, []).append(spent)
-            left.setdefault(way, []).append(held)
-            print(f"  {way:9} held out {held:10.4g}   {spent:6.1f} s   {what}", flush=True)
-    for way, found in left.items():
-        best = sum(mine <= min(each) for mine, *each in zip(found, *left.values(), strict=True))
-        below = sum(held < 2 for held in found)
-        wins = f"below 2 on {below} of {len(found)}, best on {best}"
-        print(
-            f"{way:9} median held out {statistics.median(found):.4g}, {wins}; {statistics.median(seconds[way]):.1f} s"
-        )
+        results.append(side_by_side(f"{key} ({variable})", case, boards.NOISE, WAYS))
+    for way in WAYS:
+        left, seconds = zip(*(result[way] for result in results), strict=True)
+        best = sum(result[way][0] <= min(held for held, _ in result.values()) for result in results)
+        wins = f"below 2 on {sum(held < 2 for held in left)} of {len(left)}, best on {best}"
+        print(f"{way:9} median held out {statistics.median(left):.4g}, {wins}; {statistics.median(seconds):.1f} s")
 
 
 if __name__ == "__main__":

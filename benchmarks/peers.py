@@ -18,6 +18,7 @@ import math
 import statistics
 import sys
 import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -217,27 +218,33 @@ def ours(case, noise, bench: CandidateSet, step: CandidateFit, model: Model) -> 
 WAYS = {"snakejax": ours, "AIC": by_aic, "PySINDy": by_sindy, "GP": by_process}
 
 
+def side_by_side(name: str, case, noise, ways: Mapping[str, Callable]) -> dict[str, tuple[float, float]]:
+    """One line for the base of a case and one for each of the `ways`: the held-out misfit and the seconds of each."""
+    bench = CandidateSet.of(starting_model(case), case, noise, CANDIDATES)
+    step = base_fit(bench)
+    model = bench.problem.fitted(step.solution).without(*bench.problem.model.effects)
+    heldout = fit_heldout_starts(bench.problem, step.solution.values)
+    print(f"{name}: base train {step.solution.misfit:.4g}, held out {heldout.misfit if heldout else math.nan:.4g}")
+    results: dict[str, tuple[float, float]] = {}
+    for way, work in ways.items():
+        clock, begin = Stopwatch(), time.perf_counter()
+        try:
+            what, left = work(case, noise, bench, step, model)
+        except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
+            what, left = f"failed: {str(error)[:60]}", math.nan
+        results[way] = left, time.perf_counter() - begin - clock.seconds()["compile"]
+        print(f"  {way:9} held out {left:10.4g}   {results[way][1]:6.1f} s   {what}", flush=True)
+    return results
+
+
 def main(folder: Path, names: list[str]) -> None:
     """One line a case and method, and the medians."""
     start_jax()
-    seconds: dict[str, list[float]] = {}
+    seconds: dict[str, list[float]] = {way: [] for way in WAYS}
     for name in names or sorted(path.name for path in folder.iterdir() if (path / "case.toml").exists()):
         case = load_case(folder / name)
-        noise = noise_of(case)
-        bench = CandidateSet.of(starting_model(case), case, noise, CANDIDATES)
-        step = base_fit(bench)
-        model = bench.problem.fitted(step.solution).without(*bench.problem.model.effects)
-        heldout = fit_heldout_starts(bench.problem, step.solution.values)
-        print(f"{name}: base train {step.solution.misfit:.4g}, held out {heldout.misfit if heldout else math.nan:.4g}")
-        for way, work in WAYS.items():
-            clock, begin = Stopwatch(), time.perf_counter()
-            try:
-                what, left = work(case, noise, bench, step, model)
-            except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
-                what, left = f"failed: {str(error)[:60]}", math.nan
-            spent = time.perf_counter() - begin - clock.seconds()["compile"]
-            seconds.setdefault(way, []).append(spent)
-            print(f"  {way:9} held out {left:10.4g}   {spent:6.1f} s   {what}", flush=True)
+        for way, (_, spent) in side_by_side(name, case, noise_of(case), WAYS).items():
+            seconds[way].append(spent)
     print("median seconds: " + ", ".join(f"{way} {statistics.median(found):.1f}" for way, found in seconds.items()))
 
 

@@ -4,11 +4,8 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, TypedDict, Unpack
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from snakejax.core.errors import InputError
 from snakejax.core.jax_config import require_x64
@@ -16,7 +13,7 @@ from snakejax.core.progress import Progress, no_progress
 from snakejax.core.tabular import Tabular
 from snakejax.dynamics.inputs import AbstractInputs, G, Gait, with_signals
 from snakejax.dynamics.model import Model
-from snakejax.dynamics.signals import AbstractSignal, Logged, Sines
+from snakejax.dynamics.signals import Logged, Sines, angles_at
 
 from .gait_families import GaitFamily, SumsOfSines
 from .gait_problem import MET, GaitProblem, Robustness, accurate, command, rollout_of
@@ -105,11 +102,6 @@ def sines(signal: Any) -> list[list[float]]:
     return [[float(number) for number in row] for row in table if abs(row[0]) > 1e-9]
 
 
-@eqx.filter_jit
-def _angles(signal: AbstractSignal, times: Float[Array, " n"]) -> Float[Array, " n"]:
-    return jax.vmap(signal.at)(times).angle
-
-
 def joint_log(gait: AbstractInputs) -> str:
     """A gait of natural splines as the CSV text of a log of its knots, for `case.toml`.
 
@@ -119,7 +111,7 @@ def joint_log(gait: AbstractInputs) -> str:
     logs = [signal for signal in signals if isinstance(signal, Logged)]
     if len(logs) < len(signals) or any(not np.array_equal(log.knots, logs[0].knots) for log in logs):
         raise ValueError("Only splines through the same knots make a joint log: write sines into case.toml.")
-    columns = (logs[0].knots, *(_angles(log, log.knots) for log in logs))
+    columns = (logs[0].knots, *(angles_at(log, log.knots) for log in logs))
     rows = zip(*(np.asarray(column) for column in columns), strict=True)
     unit = "_rad" if isinstance(gait, Gait) else ""
     head = ",".join(["time_s", *(f"{name}{unit}" for name in gait.names)])

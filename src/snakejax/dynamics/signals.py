@@ -32,6 +32,12 @@ class AbstractSignal(Parametrised):
         """Angle, rate and acceleration at time `t` [s]."""
 
 
+@eqx.filter_jit
+def angles_at(signal: AbstractSignal, times: Float[Array, " n"]) -> Float[Array, " n"]:
+    """The angle [rad] of `signal` at `times` [s], by one program."""
+    return jax.vmap(lambda t: signal.at(t).angle)(times)
+
+
 class Sines(AbstractSignal):
     """A sum of sines, sum_k a_k sin(w_k t + p_k).
 

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from snakejax.dynamics.inputs import AbstractInputs, Gait, with_signals
 from snakejax.dynamics.sampled_signals import Held, LaggedHold, LaggedSines, Shaped, lagged
-from snakejax.dynamics.signals import AbstractSignal, Logged, Scaled, Sines, Tracked
+from snakejax.dynamics.signals import AbstractSignal, Logged, Scaled, Sines, Tracked, angles_at
 from snakejax.recording.run import Noise, Run
 
 from .whitening import whitening
@@ -124,7 +124,7 @@ def _kinds(gait: AbstractInputs) -> str:
 
 def _sampled(signal: AbstractSignal, until: float) -> Logged:
     times = np.arange(0.0, until + 0.01, 0.005)
-    return Logged.of(times, jax.vmap(signal.at)(jnp.asarray(times)).angle)
+    return Logged.of(times, angles_at(signal, jnp.asarray(times)))
 
 
 def _padded(gait: AbstractInputs, size: int) -> AbstractInputs:

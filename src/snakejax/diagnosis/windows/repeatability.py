@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -10,6 +9,7 @@ from scipy import optimize
 
 from snakejax.core.local_polynomials import difference_noise
 from snakejax.dynamics.sampled_signals import held_signals
+from snakejax.dynamics.signals import angles_at
 from snakejax.recording.run import Run
 
 from ..explanation import PoseError
@@ -51,7 +51,7 @@ def commands_of(run: Run) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, "
     """The commands of `run` at its times, and the standard deviation of the noise of each: zero where it is held."""
     times = jnp.asarray(run.times)
     signals = [run.gait.signal(name) for name in run.gait.names]
-    values = np.stack([np.asarray(jax.vmap(signal.at)(times).angle) for signal in signals], axis=1)
+    values = np.stack([np.asarray(angles_at(signal, times)) for signal in signals], axis=1)
     held = np.array([bool(held_signals(signal)) for signal in signals])
     if len(values) < 2 * PARTS:  # Too few samples do not show their noise.
         return values, np.zeros(len(signals))

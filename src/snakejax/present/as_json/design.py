@@ -3,12 +3,12 @@
 import math
 from typing import Any
 
-import jax
 import numpy as np
 
 from snakejax.design.experiments import DiscriminationDesign, PrecisionDesign
 from snakejax.design.limits import limits_of
 from snakejax.design.tuning import GaitResult, TuningResult, sines
+from snakejax.dynamics.signals import angles_at
 
 
 def tuned_json(tuned: TuningResult, objective: str, over: str) -> dict[str, Any]:
@@ -36,7 +36,7 @@ def journey_json(journey: GaitResult) -> dict[str, Any]:
     times = np.asarray(journey.run.times)[::4]
     pose = np.asarray(journey.run.pose)[::4]
     signals = {name: journey.gait.signal(name) for name in journey.gait.names}
-    joints = {name: np.asarray(jax.vmap(signal.at)(times).angle) for name, signal in signals.items()}
+    joints = {name: np.asarray(angles_at(signal, times)) for name, signal in signals.items()}
     try:
         gait = {name: sines(limits_of(signal)) for name, signal in signals.items()}
     except ValueError:

@@ -2,15 +2,13 @@
 
 from typing import NamedTuple
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from snakejax.core.local_polynomials import derivative, window_of
 from snakejax.dynamics.inputs import Gait
-from snakejax.dynamics.signals import AbstractSignal
+from snakejax.dynamics.signals import AbstractSignal, angles_at
 
 from ..run import Run
 from .finding import PoseSeries
@@ -78,9 +76,4 @@ def steady_poses(run: Run) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "
 
 def angles(signal: AbstractSignal, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """The joint's angle; before time 0 it stands where it starts."""
-    return np.asarray(_at(signal, jnp.asarray(np.maximum(times, 0.0))))
-
-
-@eqx.filter_jit
-def _at(signal: AbstractSignal, times: Float[Array, " n"]) -> Float[Array, " n"]:
-    return jax.vmap(lambda t: signal.at(t).angle)(times)
+    return np.asarray(angles_at(signal, jnp.asarray(np.maximum(times, 0.0))))
