@@ -5,11 +5,13 @@ run.
     python benchmarks/tune.py [TIMES]
 
 The searches have no constraints: each gait they try is made smaller until it keeps to the limits, by the same proven
-bounds. They may simulate TIMES (default 10) as often as `tune` did. Needs the extra `bench`.
+bounds. They may simulate TIMES (default 10) as often as `tune` with its eight starts did. `tune` runs with fewer starts
+too, and for each of its results the table says after how many seconds a search comes as far. Needs the extra `bench`.
 """
 
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import snakejax as sj
@@ -33,6 +35,7 @@ TYRE = dict(B=6.0, C=1.4, D=6.0, E=0.3)
 LIMITS = Limits.of({"phi": 0.916, "psi": 1.57, "phi_rate": 3.664, "psi_rate": 6.28})
 SECONDS = 8.0
 POPULATION = 32
+STARTS = (1, 2, 4, 8)
 
 
 class Counted:
@@ -41,6 +44,7 @@ class Counted:
     def __init__(self, model: sj.Model, spec: RolloutSpec) -> None:
         self.model, self.spec, self.count, self.best, self.history = model, spec, 0, 0.0, []
         self.low, self.high = spec.shape.bounds()
+        self.began = time.perf_counter()
 
     def __call__(self, unknowns: np.ndarray) -> np.ndarray:
         rows = np.clip(unknowns, self.low, self.high)
@@ -54,16 +58,16 @@ class Counted:
         found = np.where(np.isfinite(found), found, 0.0)
         self.count += len(rows)
         self.best = max(self.best, float(found.max()))
-        self.history.append((self.count, self.best))
+        self.history.append((self.count, self.best, time.perf_counter() - self.began))
         return -found
 
     def at(self, count: int) -> float:
         """The best after `count` simulations."""
-        return max((best for done, best in self.history if done <= count), default=0.0)
+        return max((best for done, best, _ in self.history if done <= count), default=0.0)
 
-    def reached(self, distance: float) -> int | None:
-        """How many simulations it took to come so far."""
-        return next((done for done, best in self.history if best >= distance), None)
+    def reached(self, distance: float) -> float | None:
+        """How many seconds it took to come so far."""
+        return next((seconds for _, best, seconds in self.history if best >= distance), None)
 
 
 @eqx.filter_jit
@@ -95,15 +99,17 @@ def main(times: float) -> None:
     spec = RolloutSpec(shape, driver, jnp.array([0.0, SECONDS]), jnp.zeros(3), False)
 
     sj.design.tune(model, sj.Distance(), LIMITS, SECONDS, driver=driver, starts=1, most=1)  # compiled
-    began = time.perf_counter()
-    ours = sj.design.tune(model, sj.Distance(), LIMITS, SECONDS, driver=driver)
-    seconds = {"tune": time.perf_counter() - began}
+    tuned, seconds = {}, {}
+    for starts in STARTS:
+        began = time.perf_counter()
+        tuned[starts] = sj.design.tune(model, sj.Distance(), LIMITS, SECONDS, driver=driver, starts=starts)
+        seconds[starts] = time.perf_counter() - began
+    ours = tuned[max(STARTS)]
     budget = int(times * ours.simulations)
 
     far = Counted(model, spec)
     far(np.array([shape.guess(np.random.default_rng(0))]))
-    evolving, differing = Counted(model, spec), Counted(model, spec)
-    began = time.perf_counter()
+    evolving = Counted(model, spec)
     rng, round_ = np.random.default_rng(0), 0
     while evolving.count < budget:
         # Restarts from further guesses, as `tune` has several starts.
@@ -114,37 +120,43 @@ def main(times: float) -> None:
         while not search.stop() and evolving.count < budget:
             asked = search.ask()
             search.tell(asked, evolving(np.array(asked)).tolist())
-    seconds["CMA-ES"] = time.perf_counter() - began
 
-    began = time.perf_counter()
+    differing = Counted(model, spec)
     guesses = np.array([np.clip(shape.guess(rng), *shape.bounds()) for _ in range(4 * POPULATION)])
     differential_evolution(
         lambda x: differing(x.T), list(zip(*shape.bounds(), strict=True)), init=guesses, seed=0, polish=False,
         vectorized=True, updating="deferred", tol=0.0, maxiter=max(budget // len(guesses) - 1, 1),
     )  # fmt: skip
-    seconds["differential evolution"] = time.perf_counter() - began
 
     z = jnp.asarray(guesses[0])
-    slow, quick = (_each(f) for f in (lambda: rollout_jacobian(model, spec, z), lambda: rollouts(model, spec, z[None])))
-    reached_ = ours.after.result
+    slow, quick = _each(lambda: rollout_jacobian(model, spec, z), lambda: rollouts(model, spec, z[None]))
     print(
         f"distance in {SECONDS:g} s; a simulation with its {shape.size} derivatives takes {slow / quick:.1f} plain ones"
     )
-    print(f"{'':24}{'distance [m]':>14}{'simulations':>13}{'seconds':>9}   as far as tune after")
-    print(f"{'tune':24}{reached_:14.4f}{ours.simulations:13d}{seconds['tune']:9.1f}   ({ours.slopes} with derivatives)")
+    print(f"{'':26}{'distance [m]':>14}{'simulations':>13}{'seconds':>9}   as far: CMA-ES, differential evolution")
+    for starts, one in tuned.items():
+        later = [_later(other.reached(one.after.result), seconds[starts]) for other in (evolving, differing)]
+        name, far = f"tune, starts: {starts}", one.after.result
+        print(f"{name:26}{far:14.4f}{one.simulations:13d}{seconds[starts]:9.1f}   {', '.join(later)}")
     for name, other in (("CMA-ES", evolving), ("differential evolution", differing)):
-        after = other.reached(reached_)
-        said = f"{after} ({after / ours.simulations:.1f} times as many)" if after else "never"
-        print(f"{name:24}{other.best:14.4f}{other.count:13d}{seconds[name]:9.1f}   {said}")
-        print(f"{'  at as many as tune':24}{other.at(ours.simulations):14.4f}{ours.simulations:13d}")
+        print(f"{name:26}{other.best:14.4f}{other.count:13d}{other.history[-1][-1]:9.1f}")
+        print(f"{'  after as many as tune':26}{other.at(ours.simulations):14.4f}{ours.simulations:13d}")
 
 
-def _each(call, count: int = 20) -> float:
-    jax.block_until_ready(call())
-    began = time.perf_counter()
+def _later(seconds: float | None, ours: float) -> str:
+    return "never" if seconds is None else f"{seconds:.1f} s ({seconds / ours:.1f} times)"
+
+
+def _each(*calls: Callable[[], object], count: int = 60) -> list[float]:
+    """The median seconds of each of some calls, which take turns."""
+    seconds = []
     for _ in range(count):
-        jax.block_until_ready(call())
-    return (time.perf_counter() - began) / count
+        seconds.append([])
+        for call in calls:
+            began = time.perf_counter()
+            jax.block_until_ready(call())
+            seconds[-1].append(time.perf_counter() - began)
+    return np.median(seconds, axis=0).tolist()
 
 
 if __name__ == "__main__":
