@@ -170,18 +170,25 @@ def short_name(name: str) -> str:
     return name.removeprefix("tyre.")
 
 
-def with_parameters(tree: T, values: Mapping[str, Any]) -> T:
-    """`tree` with the parameters in `values` (by dotted name) replaced; values may be JAX tracers.
+def require_in_domain(values: Mapping[str, Any], known: Mapping[str, Parameter]) -> None:
+    """Check `values` by dotted name; tracers and arrays of several numbers are not checked.
 
-    **Raises:** `ValueError` for an unknown name or a number outside its domain.
+    **Raises:** `ValueError` for a name that is not `known` or a number outside its domain.
     """
-    known = parameters(tree)
     for name, value in values.items():
         if name not in known:
             raise ValueError(f"There is no parameter `{name}`; known: {', '.join(known)}.")
         if not isinstance(value, jax.core.Tracer) and np.ndim(value) == 0:
             if why := known[name].domain.complaint(float(value)):
                 raise ValueError(f"Parameter `{name}` {why}, but it is {float(value):g}.")
+
+
+def with_parameters(tree: T, values: Mapping[str, Any]) -> T:
+    """`tree` with the parameters in `values` (by dotted name) replaced; values may be JAX tracers.
+
+    **Raises:** `ValueError` for an unknown name or a number outside its domain.
+    """
+    require_in_domain(values, parameters(tree))
     getters = [_getter(name) for name in values]
     if not getters:
         return tree

@@ -1,10 +1,11 @@
 """Model: vehicle, tyre, constraint and effects combined into one time derivative."""
 
 from collections import OrderedDict
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -27,10 +28,12 @@ from .ports import (
     TyreModifier,
     TyreState,
 )
+from .switches import Switches
 from .tyres import AbstractTyre, Pacejka
 from .vehicle import AbstractVehicle
 
 E = TypeVar("E", bound=Effect)
+T = TypeVar("T")
 
 State = tuple[tuple[Scalar, ...], tuple[tuple[Scalar, ...], ...]]
 """State of the constraint, and for each `TyreState` effect one memory [rad] for each wheelset."""
@@ -50,6 +53,8 @@ class Model(eqx.Module):
     tyre: AbstractTyre
     constraint: AbstractConstraint
     effects: OrderedDict[str, Effect]
+    switches: Switches | None
+    """Which effects can change anything, see `switches_of`; None: all."""
 
     def __init__(
         self,
@@ -64,6 +69,7 @@ class Model(eqx.Module):
                 raise ValueError(f"Argument `constraint` must be one of {known}, but it is {constraint!r}.")
             constraint = board.structures[constraint]()
         self.board, self.tyre, self.constraint, self.effects = board, tyre, constraint, OrderedDict(effects)
+        self.switches = None
 
     def __repr__(self) -> str:
         """`Model(Board(mass=7 kg, ...), Pacejka(B=8 1/rad, ...), 'free', {'ground_slope': GroundSlope(...)})`."""
@@ -116,6 +122,17 @@ class Model(eqx.Module):
         """The effects of one port, in the order of their `order`, then of the model."""
         effects = [effect for effect in self.effects.values() if isinstance(effect, port)]
         return sorted(effects, key=lambda effect: getattr(effect, "order", 0))
+
+    def switched(self, switches: Switches) -> "Model":
+        """This model, whose compiled rates pass by the effects that are off; these must be neutral."""
+        return eqx.tree_at(lambda model: model.switches, self, switches, is_leaf=lambda leaf: leaf is None)
+
+    def _where_on(self, port: type[Effect], changed: Callable[[], T], unchanged: Callable[[], T]) -> T:
+        """`changed()`, with the effects of `port`; `unchanged()` where all of them are off."""
+        names = [name for name, effect in self.effects.items() if isinstance(effect, port)]
+        if self.switches is None or not names:
+            return changed()
+        return jax.lax.cond(jnp.any(jnp.stack([self.switches[name] for name in names])), changed, unchanged)
 
     def effective_vehicle(self) -> AbstractVehicle:
         """The board after all `Geometry` effects."""
@@ -192,7 +209,8 @@ class Model(eqx.Module):
         self, t: Scalar, body: tuple[Scalar, ...], gait: AbstractInputs, board: AbstractVehicle
     ) -> Configuration:
         """The joints at time `t` [s] after all effects: inputs, free joints and the angles of the wheels."""
-        inputs = self.commanded(gait).at(t) | self.constraint.free_joints(body, board)
+        inputs = self._where_on(InputModifier, lambda: self.commanded(gait).at(t), lambda: gait.at(t))
+        inputs = inputs | self.constraint.free_joints(body, board)
         joints = []
         for wheelset in board.wheelsets:
             joint = board.steering(wheelset, inputs)
@@ -206,18 +224,34 @@ class Model(eqx.Module):
         body, memories = state
         motion, steered, twist = self._motion(t, body, gait)
         traction, memory_rates, driven = self._traction(motion, memories)
-        resistance = tuple(
-            sum((effect.resistance(wheel, motion) for effect in self.effects_of(RollingForce)), jnp.zeros_like(t))
-            for wheel in motion.wheels
-        )
+        resistance = self._resistance(motion)
         for force in (motion.drive, driven):
             if force is not None:
                 resistance = tuple(T - D for T, D in zip(resistance, force, strict=True))
-        wrench = (jnp.zeros_like(t),) * 3
-        for effect in self.effects_of(Force):
-            wrench = tuple(a + b for a, b in zip(wrench, effect.wrench(motion), strict=True))
-        loads = AppliedForces(motion.wheels, traction, resistance, wrench)
+        loads = AppliedForces(motion.wheels, traction, resistance, self._wrench(motion))
         return self.constraint.rates(body, motion.board, steered, twist, loads), memory_rates
+
+    def _resistance(self, motion: Motion) -> tuple[Scalar, ...]:
+        """The force [N] of all `RollingForce` effects against the rolling of each wheelset."""
+        zero = jnp.zeros_like(motion.time)
+
+        def against(wheel: Wheel) -> Scalar:
+            return sum((effect.resistance(wheel, motion) for effect in self.effects_of(RollingForce)), zero)
+
+        wheels = motion.wheels
+        return self._where_on(RollingForce, lambda: tuple(map(against, wheels)), lambda: (zero,) * len(wheels))
+
+    def _wrench(self, motion: Motion) -> tuple[Scalar, ...]:
+        """The wrench of all `Force` effects on the body."""
+        zeros = (jnp.zeros_like(motion.time),) * 3
+
+        def total() -> tuple[Scalar, ...]:
+            wrench = zeros
+            for effect in self.effects_of(Force):
+                wrench = tuple(a + b for a, b in zip(wrench, effect.wrench(motion), strict=True))
+            return wrench
+
+        return self._where_on(Force, total, lambda: zeros)
 
     def traction(self, motion: Motion, memories: tuple[tuple[Scalar, ...], ...]) -> tuple[Scalar, ...]:
         """The lateral force F_i [N] of each wheelset, positive against its slip."""
@@ -229,8 +263,6 @@ class Model(eqx.Module):
         for i, wheel in enumerate(motion.wheels):
             wheelset, creep = wheel.wheelset, motion.board.creep_speed
             tyre = self.tyre.of_axle(wheelset.axle).under(motion.board.load(wheelset))
-            for effect in self.effects_of(TyreModifier):
-                tyre = effect.tyre(tyre, motion)
             slip, speed, across, along = slip_angle(wheel.lateral, wheel.rolling, creep), wheel.lateral, None, None
             if (driven_rim := motion.board.rim(wheelset, motion.inputs)) is not None:
                 rim = driven_rim.angle
@@ -240,15 +272,35 @@ class Model(eqx.Module):
             for effect, memory in zip(self.effects_of(TyreState), memories, strict=True):
                 wheel_rates.append(effect.rate(memory[i], slip, wheel))
                 slip = effect.slip(memory[i], slip)
-            force = tyre.force(slip, speed)
+            force = self._tyre_force(tyre, slip, speed, motion)
             driven.append(jnp.zeros_like(force) if along is None else -force * along)
             force = force if across is None else force * across
-            for effect in self.effects_of(LateralForce):
-                force = effect.lateral(force, wheel, motion)
-            forces.append(force)
+            forces.append(self._lateral(force, wheel, motion))
             rates.append(wheel_rates)
         any_driven = any(wheel.wheelset.drive for wheel in motion.wheels)
         return tuple(forces), tuple(zip(*rates, strict=True)), tuple(driven) if any_driven else None
+
+    def _tyre_force(self, tyre: AbstractTyre, slip: Scalar, speed: Scalar, motion: Motion) -> Scalar:
+        """The force [N] of `tyre` after all `TyreModifier` effects."""
+
+        def modified() -> Scalar:
+            changed = tyre
+            for effect in self.effects_of(TyreModifier):
+                changed = effect.tyre(changed, motion)
+            return changed.force(slip, speed)
+
+        return self._where_on(TyreModifier, modified, lambda: tyre.force(slip, speed))
+
+    def _lateral(self, force: Scalar, wheel: Wheel, motion: Motion) -> Scalar:
+        """The lateral `force` [N] of a wheelset after all `LateralForce` effects."""
+
+        def changed() -> Scalar:
+            last = force
+            for effect in self.effects_of(LateralForce):
+                last = effect.lateral(last, wheel, motion)
+            return last
+
+        return self._where_on(LateralForce, changed, lambda: force)
 
     def observe(self, body: tuple[Scalar, ...]) -> tuple[Scalar, Scalar, Scalar]:
         """(x [m], y [m], heading [rad]) as motion capture reports them, after all `Sensor` effects."""

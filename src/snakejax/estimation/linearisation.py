@@ -1,6 +1,7 @@
 """Linearisation of whole runs: the variables of a fit, residuals of many runs, and their Jacobian."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import equinox as eqx
@@ -9,8 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from snakejax.core.parameter import Domain, parameters, with_parameters
+from snakejax.core.parameter import Domain, parameters, require_in_domain, with_parameters
 from snakejax.dynamics.model import Model
+from snakejax.dynamics.switches import switches_of
 from snakejax.simulation.integrate import Accuracy, simulate
 
 from .batch import Batch
@@ -49,18 +51,27 @@ class Linearised(NamedTuple):
     jacobian: Float[Array, "R n 3 K+S"]
 
 
-def variables(model: Model, names: Sequence[str], free: Sequence[str], runs: Batch, width: int) -> Variables:
+def variables(
+    model: Model,
+    names: Sequence[str],
+    free: Sequence[str],
+    runs: Batch,
+    width: int,
+    values: Mapping[str, float] = MappingProxyType({}),
+) -> Variables:
     """`Variables` at the values of `model`, with the parameters `free` among `names` in `width` directions.
 
-    An empty name in `free` leaves its direction unused.
+    `values` take the place of those of the model. An empty name in `free` leaves its direction unused.
+    **Raises:** `ValueError` for an unknown name or a number outside its domain.
     """
     known = parameters(model)
+    require_in_domain(values, known)
     directions = np.zeros((width, len(names)))
     for row, name in enumerate(free):
         if name:
             directions[row, list(names).index(name)] = 1.0
-    values = jnp.asarray([float(known[name].value) for name in names])
-    return Variables(tuple(names), values, jnp.asarray(directions), runs.start, runs.free_start)
+    at = np.array([float(values.get(name, known[name].value)) for name in names])
+    return Variables(tuple(names), at, directions, runs.start, runs.free_start)  # type: ignore[arg-type]
 
 
 def retract(domains: list[Domain], at: Variables, steps: Float[Array, " K"]) -> Float[Array, " P"]:
@@ -112,6 +123,13 @@ def _run_residual(model, names, values, start, batch: Batch, accuracy: Accuracy)
     return whitened(jnp.where(batch.weight > 0, (batch.pose - pose) * batch.weight, 0.0), batch.whitening)
 
 
+def _switched(model: Model, at: Variables, values: Float[Array, " P"]) -> Model:
+    """`model` with its effects switched off that are neutral at `values` and do not move."""
+    named = with_parameters(model, {name: values[k] for k, name in enumerate(at.names)})
+    moving = {name: jnp.any(at.directions[:, k] != 0) for k, name in enumerate(at.names)}
+    return model.switched(switches_of(named, moving))
+
+
 def linearise(model, at: Variables, batch: Batch, order, count, steps, start_steps, accuracy) -> Linearised:
     """Residuals and Jacobian at `at` moved by `steps` (K,) and `start_steps` (R, S), for the runs `order[:count]`.
 
@@ -121,6 +139,7 @@ def linearise(model, at: Variables, batch: Batch, order, count, steps, start_ste
     width, depth = at.directions.shape[0], at.start.shape[1]
     R, n = batch.times.shape
     domains = domains_of(model, at.names)
+    model = _switched(model, at, retract(domains, at, steps))
 
     def add_run(run: Int[Array, ""], linearised: Linearised) -> Linearised:
         k = order[run]
@@ -140,11 +159,11 @@ def linearise(model, at: Variables, batch: Batch, order, count, steps, start_ste
     return jax.lax.fori_loop(0, count, add_run, empty)
 
 
-def first(runs: Sequence[int], batch: Batch) -> tuple[Int[Array, " R"], Int[Array, ""]]:
+def first(runs: Sequence[int], batch: Batch) -> tuple[Int[np.ndarray, " R"], Int[np.ndarray, ""]]:
     """`runs` as arguments of `linearise`: their indices padded to the number of runs of `batch`, and their count."""
     order = np.zeros(batch.start.shape[0], np.int64)
     order[: len(runs)] = runs
-    return jnp.asarray(order), jnp.asarray(len(runs))
+    return order, np.asarray(len(runs))
 
 
 def project_out_starts(

@@ -155,8 +155,8 @@ class Problem(eqx.Module):
             raise ValueError(
                 f"At most {self.width} parameters can be free here, but {len(free)} are: {', '.join(free)}."
             )
-        base = variables(with_parameters(self.model, values), self.names, free, self.batch, self.width)
-        return base if start is None else eqx.tree_at(lambda u: u.start, base, jnp.asarray(start))
+        at = variables(self.model, self.names, free, self.batch, self.width, values)
+        return at if start is None else dataclasses.replace(at, start=np.asarray(start, float))
 
     def evaluate(self, at: Variables, runs: Sequence[int], until: float = np.inf) -> Linearised:
         """Residuals and Jacobian at `at`; the residuals after `until` [s] are zero."""
