@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import optimize
 
+from snakejax.diagnosis.latent_force import gaussian_process
 from snakejax.diagnosis.latent_force.gaussian_process import (
     Normal,
     Prior,
@@ -22,12 +23,14 @@ def matern(count: int, time: float) -> np.ndarray:
     return (1 + a) * np.exp(-a)
 
 
-def covariance(prior: Prior, count: int) -> np.ndarray:
-    """Of X at all knots, then Y, then N."""
+def covariance(prior: Prior, count: int, pieces: int = 1) -> np.ndarray:
+    """Of X at all knots, then Y, then N; between `pieces` of equal length there is none."""
     dense = np.zeros((3 * count, 3 * count))
+    piece = np.arange(count) * pieces // count
     for c, sd in enumerate(prior.sd):
         part = slice(c * count, (c + 1) * count)
-        dense[part, part] = sd**2 * (matern(count, prior.time) + 1e-6 + 1e-8 * np.eye(count))
+        correlation = matern(count, prior.time) + 1e-6 + 1e-8 * np.eye(count)
+        dense[part, part] = sd**2 * np.where(piece[:, None] == piece, correlation, 0.0)
     return dense
 
 
@@ -43,16 +46,25 @@ def test_the_kernel_is_that_of_matern():
 
 
 def made(counts: tuple[int, ...] = (6, 9), parameters: int = 2, seed: int = 0):
-    """Random linear runs: H (n, 3 K), B (n, P), y (n,) of each."""
+    """Random linear runs: H (n, 3 K), B (n, P), y (n,) of each; a sample depends on four knots next to each other."""
     draw = np.random.default_rng(seed)
-    return [
-        (draw.normal(size=(40, 3 * K)), draw.normal(size=(40, parameters)), draw.normal(size=40) * 3) for K in counts
-    ]
+    runs = []
+    for K in counts:
+        near = np.abs(np.arange(40)[:, None] * K / 40 - np.arange(K)) < 2
+        H = draw.normal(size=(40, 3 * K)) * np.tile(near, 3)
+        runs.append((H, draw.normal(size=(40, parameters)), draw.normal(size=40) * 3))
+    return runs
 
 
-def test_the_posterior_is_that_of_one_dense_gaussian():
-    """All unknowns side by side, [f_1, f_2, p]: precision = prior precision + sum of H^T H, mean by one solve."""
-    runs, pull, precision = made(), np.array([0.5, -1.0]), np.array([2.0, 0.1])
+@pytest.mark.parametrize("pieces", [1, 3])
+def test_the_posterior_is_that_of_one_dense_gaussian(pieces: int, monkeypatch):
+    """All unknowns side by side, [f_1, f_2, p]: precision = prior precision + sum of H^T H, mean by one solve.
+
+    A long run has several pieces, between which the prior has no correlation and the data have.
+    """
+    monkeypatch.setattr(gaussian_process, "PIECE", 12 // pieces)
+    counts = (12, 12 if pieces == 1 else 4)
+    runs, pull, precision = made(counts), np.array([0.5, -1.0]), np.array([2.0, 0.1])
     normal = [Normal(H.T @ H, H.T @ y, H.T @ B, B.T @ B, B.T @ y) for H, B, y in runs]
     found = posterior(normal, PRIOR, (pull, precision), sd=True)
 
@@ -66,7 +78,9 @@ def test_the_posterior_is_that_of_one_dense_gaussian():
         whole = np.zeros((len(y), total))
         whole[:, edges[k] : edges[k + 1]], whole[:, edges[-1] :] = H, B
         N, v = N + whole.T @ whole, v + whole.T @ y
-        N[edges[k] : edges[k + 1], edges[k] : edges[k + 1]] += np.linalg.inv(covariance(PRIOR, sizes[k] // 3))
+        N[edges[k] : edges[k + 1], edges[k] : edges[k + 1]] += np.linalg.inv(
+            covariance(PRIOR, counts[k], pieces if counts[k] == 12 else 1)
+        )
     C = np.linalg.inv(N)
     mean = C @ v
     np.testing.assert_allclose(found.step, mean[edges[-1] :], rtol=1e-6)
@@ -83,6 +97,15 @@ def test_a_component_that_moves_nothing_is_not_observable():
     H[:, 5:10] = 0.0
     normal = Normal(H.T @ H, H.T @ y, H.T @ B, B.T @ B, B.T @ y)
     assert observable_components([normal]).tolist() == [True, False, True]
+
+
+def test_the_distance_of_a_force_is_that_of_its_covariance(monkeypatch):
+    force = np.random.default_rng(2).normal(size=(12, 3))
+    for pieces in (1, 3):
+        monkeypatch.setattr(gaussian_process, "PIECE", 12 // pieces)
+        stacked = force.T.reshape(-1)
+        expected = stacked @ np.linalg.solve(covariance(PRIOR, 12, pieces), stacked)
+        assert PRIOR.distance(force) == pytest.approx(expected, rel=1e-6)
 
 
 SIDEWAYS = np.array([False, True, False])

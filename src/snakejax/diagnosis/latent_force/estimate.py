@@ -16,7 +16,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import linalg
 
 from snakejax.core.parameter import parameters, with_parameters
 from snakejax.dynamics.model import Model
@@ -187,10 +186,7 @@ class ForceEstimator(eqx.Module):
 
     def total(self, linearised: ForceLinearisation, point: ForcePoint, prior: Prior) -> float:
         """The square of the residuals, and of how far the force and the parameters are from what is expected."""
-        square = float((linearised.residual**2).sum())
-        for force in point.force:
-            root = prior.root(len(force))
-            square += float((linalg.solve_triangular(root, force / prior.sd, lower=True) ** 2).sum())
+        square = float((linearised.residual**2).sum()) + sum(prior.distance(force) for force in point.force)
         pull, precision = self.typical(point.values)
         square += float(precision @ pull**2)
         return square if np.isfinite(square) else np.inf

@@ -8,6 +8,10 @@ from scipy import linalg, optimize
 
 from .piecewise_force import SPACING
 
+PIECE = 200
+"""Knots of a run at most that the prior correlates: the force of a longer run is independent in pieces of 20 s, many
+times its longest correlation time, so that the work grows in proportion to the length of a run."""
+
 
 class Window(NamedTuple):
     """What one window says, its start state projected out: r = H f + G g + B p + noise, f and g at its own knots.
@@ -50,6 +54,11 @@ class Prior(NamedTuple):
         # The small constant keeps far knots from correlations so tiny that arithmetic with them is slow.
         return np.linalg.cholesky((1 + lag) * np.exp(-lag) + 1e-6 + 1e-8 * np.eye(count))
 
+    def distance(self, force: np.ndarray) -> float:
+        """The square of the `force` (count, 3) of a run in standard deviations: f^T C^-1 f."""
+        parts = [linalg.solve_triangular(self.root(len(f)), f, lower=True) for f in _pieces(force / self.sd)]
+        return float(sum((part**2).sum() for part in parts))
+
     def factor(self, count: int) -> np.ndarray:
         """Cholesky factor (3 count, 3 count) of the covariance of X, Y, N at knots, channel after channel."""
         return np.kron(np.diag(self.sd), self.root(count))
@@ -74,6 +83,64 @@ def observable_components(normal: Sequence[Normal]) -> np.ndarray:
     return size > 1e-9 * size.max()
 
 
+def _pieces(values: np.ndarray) -> list[np.ndarray]:
+    """`values` (count, ...) at the knots of a run in equal pieces of at most `PIECE`."""
+    return np.array_split(values, -(-len(values) // PIECE))
+
+
+class _Whitened:
+    """I + L^T A L of one run and its block Cholesky factor: L is block diagonal, a block a piece of the run, and A has
+    entries within pieces and between neighbours alone, because no window is longer than a piece."""
+
+    def __init__(self, A: np.ndarray, prior: Prior) -> None:
+        count = len(A) // 3
+        knots = _pieces(np.arange(count))
+        self.places = [(np.arange(3)[:, None] * count + piece).reshape(-1) for piece in knots]
+        self.roots = [prior.factor(len(piece)) for piece in knots]
+        self.diagonal: list[np.ndarray] = []
+        self.below: list[np.ndarray] = []
+        for j, (place, L) in enumerate(zip(self.places, self.roots, strict=True)):
+            M = np.eye(len(place)) + L.T @ (A[np.ix_(place, place)] @ L)
+            if j > 0:
+                beside = L.T @ (A[np.ix_(place, self.places[j - 1])] @ self.roots[j - 1])
+                self.below.append(linalg.solve_triangular(self.diagonal[-1], beside.T, lower=True).T)
+                M -= self.below[-1] @ self.below[-1].T
+            self.diagonal.append(np.linalg.cholesky(M))
+
+    def forward(self, columns: np.ndarray) -> list[np.ndarray]:
+        """The inverse of the factor times L^T `columns`, piece by piece."""
+        right = [L.T @ columns[place] for L, place in zip(self.roots, self.places, strict=True)]
+        return self._solved(right, 0)
+
+    def _solved(self, right: list[np.ndarray], first: int) -> list[np.ndarray]:
+        """The inverse of the factor times `right`, the rows from piece `first` on; those before are zero."""
+        done: list[np.ndarray] = []
+        for j, rows in enumerate(right, first):
+            rest = rows - self.below[j - 1] @ done[-1] if done else rows
+            done.append(linalg.solve_triangular(self.diagonal[j], rest, lower=True))
+        return done
+
+    def force(self, rows: list[np.ndarray]) -> np.ndarray:
+        """L times the inverse of the transposed factor times `rows`: the knots, channel after channel."""
+        knots, after = np.zeros(sum(map(len, self.places))), None
+        for j in reversed(range(len(rows))):
+            rest = rows[j] if after is None else rows[j] - self.below[j].T @ after
+            after = linalg.solve_triangular(self.diagonal[j].T, rest)
+            knots[self.places[j]] = self.roots[j] @ after
+        return knots
+
+    def variance(self, Z: list[np.ndarray], factor: tuple[np.ndarray, bool]) -> np.ndarray:
+        """The variance of the knots, for known parameters and with their covariance, the inverse of `factor`."""
+        own = np.zeros(sum(map(len, self.places)))
+        for j, (place, L) in enumerate(zip(self.places, self.roots, strict=True)):
+            zero = [np.zeros((len(other), len(place))) for other in self.places[j + 1 :]]
+            spread = self._solved([L.T, *zero], j)
+            carried = sum(part.T @ rows[:, 1:] for part, rows in zip(spread, Z[j:], strict=True))
+            own[place] = sum((part**2).sum(axis=0) for part in spread)
+            own[place] += np.einsum("kp,pk->k", carried, linalg.cho_solve(factor, carried.T))
+        return own
+
+
 def posterior(
     normal: Sequence[Normal], prior: Prior, typical: tuple[np.ndarray, np.ndarray], sd: bool = False
 ) -> Posterior:
@@ -84,21 +151,18 @@ def posterior(
     pull, precision = typical
     N, v, parts = np.diag(precision + 1e-9), precision * pull, []
     for part in normal:
-        L = prior.factor(len(part.b) // 3)
-        chol = np.linalg.cholesky(np.eye(len(part.b)) + L.T @ (part.A @ L))
-        Z = linalg.solve_triangular(chol, L.T @ np.column_stack([part.b, part.B]), lower=True)
-        N, v = N + part.PP - Z[:, 1:].T @ Z[:, 1:], v + part.p - Z[:, 1:].T @ Z[:, 0]
-        parts.append((L, chol, Z))
+        whitened = _Whitened(part.A, prior)
+        Z = whitened.forward(np.column_stack([part.b, part.B]))
+        N = N + part.PP - sum(rows[:, 1:].T @ rows[:, 1:] for rows in Z)
+        v = v + part.p - sum(rows[:, 1:].T @ rows[:, 0] for rows in Z)
+        parts.append((whitened, Z))
     factor = linalg.cho_factor(N)
     step = linalg.cho_solve(factor, v)
     force, variance = [], []
-    for L, chol, Z in parts:
-        force.append((L @ linalg.solve_triangular(chol.T, Z[:, 0] - Z[:, 1:] @ step)).reshape(3, -1).T)
+    for whitened, Z in parts:
+        force.append(whitened.force([rows[:, 0] - rows[:, 1:] @ step for rows in Z]).reshape(3, -1).T)
         if sd:
-            spread = linalg.solve_triangular(chol, L.T, lower=True)
-            carried = spread.T @ Z[:, 1:]
-            own = (spread**2).sum(axis=0) + np.einsum("kp,pk->k", carried, linalg.cho_solve(factor, carried.T))
-            variance.append(own.reshape(3, -1).T)
+            variance.append(whitened.variance(Z, factor).reshape(3, -1).T)
     return Posterior(step, linalg.cho_solve(factor, np.eye(len(pull))), force, variance)
 
 
