@@ -70,8 +70,10 @@ from .dynamics import TyreModifier as TyreModifier
 from .dynamics import TyreState as TyreState
 from .dynamics import Wheel as Wheel
 from .dynamics import Wheelset as Wheelset
+from .estimation import Bootstrap as Bootstrap
 from .estimation import Estimate as Estimate
 from .estimation import Fit as Fit
+from .estimation import bootstrap as bootstrap
 from .estimation import fit_logged as fit_logged
 from .estimation import posterior_samples as posterior_samples
 from .estimation import profile as profile

@@ -21,6 +21,7 @@ class Phase(enum.Enum):
     LOG_CLOCK_ERRORS = "finding what the joint logs leave undetermined"
     START_STATES = "estimating the start states of the runs"
     PROFILE = "profile likelihood"
+    BOOTSTRAP = "refitting to made-up recordings"
     POSTERIOR_SAMPLES = "sampling parameters from the fit"
     # Diagnosis
     COMPARISON = "comparing"

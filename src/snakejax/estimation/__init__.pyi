@@ -10,3 +10,5 @@ from .problem import Problem as Problem
 from .problem import Solution as Solution
 from .profile_likelihood import profile as profile
 from .uncertainty import Estimate as Estimate
+from .wild_bootstrap import Bootstrap as Bootstrap
+from .wild_bootstrap import bootstrap as bootstrap

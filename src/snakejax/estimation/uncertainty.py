@@ -26,6 +26,14 @@ FEWEST_RECORDINGS = 10
 linear problem says little without it."""
 
 
+class Interval(NamedTuple):
+    """A 95% interval and its `source`, "profile" or "bootstrap"; an open end is None."""
+
+    low: float | None
+    high: float | None
+    source: str
+
+
 class Estimate(NamedTuple):
     """A fitted `value` in `unit`; `sd`: one standard error, None at a bound or if the data do not limit the value."""
 

@@ -71,7 +71,7 @@ def test_fit_compare_diagnose_and_explain_have_the_same_model_options() -> None:
     groups = []
     for name in ("fit", "compare", "diagnose", "explain"):
         parts = {g.title: [a.dest for a in g._group_actions] for g in choices()[name]._action_groups}
-        groups.append((parts["model"], [dest for dest in parts["estimation"] if dest != "profile"]))
+        groups.append((parts["model"], [dest for dest in parts["estimation"] if dest not in ("profile", "bootstrap")]))
     assert groups[0][1] == ["free", "by", "robust"]
     # `--effect` in the spelling of before is the second `with_` of fit and compare.
     assert all((list(dict.fromkeys(model)), rest) == (groups[3][0], groups[0][1]) for model, rest in groups)

@@ -27,7 +27,7 @@ DESIGN = ("--limit", "phi=0.9,psi=1.6", "--seconds", "1.5")
 RUNS = {
     "check": [("check", "CASE")],
     "import": [("import", LEVEL / "train-forward-1.csv")],
-    "fit": [("fit", "CASE", *FITTED, "--profile", "B"), ("fit", "CASE", "--model", "ideal")],
+    "fit": [("fit", "CASE", *FITTED, "--profile", "B", "--bootstrap", "40"), ("fit", "CASE", "--model", "ideal")],
     "compare": [("compare", "CASE", *FITTED, "--against", "ideal")],
     "simulate": [("simulate", "paper-rotate"), ("simulate", "CASE", *GIVEN)],
     "sweep": [

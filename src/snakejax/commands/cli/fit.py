@@ -7,7 +7,7 @@ from typing import Any
 from snakejax.core.progress import Phase, Progress, ProgressEvent
 
 from .animation import add_films, require_films
-from .fit_pipeline import fitted, profiled, report_fit
+from .fit_pipeline import bootstrapped, fitted, profiled, refits, report_fit
 from .options import add_cases, add_command, add_fitting, add_model, add_output, given, threshold
 from .pipeline import Outcome, Stopwatch, each_case
 
@@ -26,6 +26,13 @@ def add(commands: Any) -> None:
     add_model(command)
     group = add_fitting(command)
     group.add_argument("--profile", metavar="C,E", help="95%% intervals of these parameters by profile likelihood")
+    group.add_argument(
+        "--bootstrap",
+        metavar="N",
+        type=int,
+        help="95%% intervals of the other parameters from N refits, such as 200: to the model with its errors, whose"
+        " signs are drawn block by block",
+    )
     add_output(command)
     add_films(command)
 
@@ -33,6 +40,7 @@ def add(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Fit each CASE."""
     threshold(options.robust)
+    refits(options.bootstrap)
     require_films(options)
     return each_case(options, lambda case, say: work(options, case, say))
 
@@ -40,16 +48,17 @@ def run(options: argparse.Namespace) -> int:
 def work(options: argparse.Namespace, case: Any, say: Progress) -> Outcome:
     """Fit one case."""
     from snakejax.estimation.profile_likelihood import profile
+    from snakejax.estimation.uncertainty import Interval
     from snakejax.present.as_json.fit import fit_json
     from snakejax.present.as_json.provenance import provenance_json
     from snakejax.present.as_text.fit import fit_report
 
     clock = Stopwatch()
     fit, noise = fitted(options, case, say)
-    intervals = {}
+    fit, intervals = bootstrapped(options, fit, say)
     for name in profiled(options, fit):
         say(ProgressEvent(Phase.PROFILE, f"profile of {name}"))
-        intervals[name] = profile(fit, name)
+        intervals[name] = Interval(*profile(fit, name), "profile")
     provenance = provenance_json(options.seed, given(options), case.sha256)
     result = fit_json(case, noise, fit, provenance, intervals, clock.seconds())
 

@@ -1,6 +1,7 @@
 """The fit that several commands start with, and its report."""
 
 import argparse
+import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ from .options import model_options, names
 
 if TYPE_CHECKING:
     from snakejax.estimation.fit_record import Fit
+    from snakejax.estimation.uncertainty import Interval
     from snakejax.recording.run import Case, Noise
 
 
@@ -37,6 +39,39 @@ def profiled(options: argparse.Namespace, fit: "Fit") -> list[str]:
             listed = ", ".join(loose) or "none"
             raise InputError(f"`{name}` is fixed and has no profile", "option --profile", f"name one of {listed}")
     return [name for name in selected if name in loose]
+
+
+FEWEST_REFITS = 40
+"""With fewer refits an end of the 95% interval is an extreme of them."""
+
+
+def refits(count: int | None) -> int | None:
+    """The number of `--bootstrap`; None without it. **Raises:** `InputError` for too few."""
+    if count is not None and count < FEWEST_REFITS:
+        what = f"{count} refits are too few for the ends of a 95% interval"
+        raise InputError(what, "option --bootstrap", f"give at least {FEWEST_REFITS}, such as 200")
+    return count
+
+
+def bootstrapped(options: argparse.Namespace, fit: "Fit", say: Progress) -> "tuple[Fit, dict[str, Interval]]":
+    """The intervals of `--bootstrap`, none without it, and `fit`, which says how many refits did not converge.
+
+    **Raises:** `InputError` if no parameter is estimated.
+    """
+    from snakejax.estimation.uncertainty import Interval
+    from snakejax.estimation.wild_bootstrap import bootstrap
+
+    count = refits(options.bootstrap)
+    if count is None:
+        return fit, {}
+    if not fit.fitted.loose:
+        raise InputError("No parameter is estimated", "option --bootstrap", "leave it out, or name some with --free")
+    refitted = bootstrap(fit, count, options.seed, say)
+    if refitted.failed:
+        lacking = f"{refitted.failed} of {count} refits did not converge; the intervals are those of the others."
+        fit = dataclasses.replace(fit, advice=(*fit.advice, lacking))
+    ends = refitted.intervals()
+    return fit, {name: Interval(*ends[name], "bootstrap") for name in fit.fitted.loose}
 
 
 def report_fit(

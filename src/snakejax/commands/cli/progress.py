@@ -52,7 +52,7 @@ _DIAGNOSE = (
 # As above.
 _DRAWING = PhaseDuration(Phase.DRAWING, 5.0)
 PHASES_OF: dict[str, tuple[PhaseDuration, ...]] = {
-    "fit": (*_FIT, PhaseDuration(Phase.PROFILE, 10.0, False), _DRAWING),
+    "fit": (*_FIT, PhaseDuration(Phase.PROFILE, 10.0, False), PhaseDuration(Phase.BOOTSTRAP, 20.0, False), _DRAWING),
     "compare": (*_FIT, PhaseDuration(Phase.COMPARISON, 1.5), PhaseDuration(Phase.OTHER_MODELS, 10.0, False), _DRAWING),
     "diagnose": (*_DIAGNOSE, _DRAWING),
     "predict": (PhaseDuration(Phase.PREDICTION, 10.0), _DRAWING),

@@ -17,7 +17,7 @@ from snakejax.dynamics.conditions import ByCondition
 from snakejax.dynamics.law import Law
 from snakejax.dynamics.model import Model
 from snakejax.estimation.goodness_of_fit import RunScore, Score
-from snakejax.estimation.uncertainty import Estimate
+from snakejax.estimation.uncertainty import Estimate, Interval
 
 Json = dict[str, Any]
 EXPRESSION = "expression"
@@ -46,15 +46,15 @@ def as_text(result: Any) -> str:
     return json.dumps(clean(result), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def estimate_json(estimate: Estimate, interval: tuple[float | None, float | None] | None = None) -> Json:
-    """One estimate; `interval`, where given, is that of its profile and replaces value +- 1.96 sd."""
+def estimate_json(estimate: Estimate, interval: Interval | None = None) -> Json:
+    """One estimate; `interval`, where given, replaces value +- 1.96 sd."""
     return {
         "value": estimate.value,
         "sd": estimate.sd,
         "unit": estimate.unit,
         "determined": estimate.determined,
-        "interval": estimate.interval() if interval is None else interval,
-        "interval_from": "profile" if interval is not None else "sd",
+        "interval": estimate.interval() if interval is None else (interval.low, interval.high),
+        "interval_from": "sd" if interval is None else interval.source,
         "at_bound": estimate.at_bound,
     }
 
@@ -67,7 +67,7 @@ def held_json(value: float, unit: str) -> Json:
 def all_parameters_json(
     model: Model,
     estimates: Mapping[str, Estimate] | None = None,
-    intervals: Mapping[str, tuple[float | None, float | None]] | None = None,
+    intervals: Mapping[str, Interval] | None = None,
 ) -> dict[str, Json]:
     """The tyre and effect parameters of `model`, and all others that were estimated, by full name."""
     estimates, intervals, parts = estimates or {}, intervals or {}, {}

@@ -10,13 +10,13 @@ from snakejax.core.parameter import parameters
 from snakejax.dynamics.model import Model
 from snakejax.estimation.fit_record import Fit
 from snakejax.estimation.goodness_of_fit import RunScore, Score
-from snakejax.estimation.uncertainty import Estimate
+from snakejax.estimation.uncertainty import Estimate, Interval
 from snakejax.recording.run import Case, Noise, Run
 
 from ..as_json.provenance import constraint_kind, model_kind
 from .columns import CHANNELS, ERROR, HEADING, POSITION, narrow
 from .errors import error_text, milli_text, times_noise_text
-from .tables import Interval, add_row, clipped, error, indented, interval_text, named, note, number, plain_table
+from .tables import add_row, clipped, error, indented, interval_text, named, note, number, plain_table
 
 
 def fit_table(fit: Fit, intervals: Mapping[str, Interval] | None = None) -> Table:
@@ -24,17 +24,16 @@ def fit_table(fit: Fit, intervals: Mapping[str, Interval] | None = None) -> Tabl
     table = plain_table("parameter", "value", "+-", "unit", "95% interval", "note", right=("value", "+-"))
     known = parameters(fit.model)
     for name, estimate in fit.estimates.items():
-        profiled = (intervals or {}).get(name)
-        remarks = ", ".join(filter(None, (note(estimate), "by profile" if profiled else "")))
+        own = (intervals or {}).get(name)
+        remarks = ", ".join(filter(None, (note(estimate), f"by {own.source}" if own else "")))
+        interval = (own.low, own.high) if own else estimate.interval()
         add_row(
             table,
             named(name),
             number(estimate.value, estimate.sd),
             error(estimate.sd),
             estimate.unit,
-            interval_text(clipped(profiled or estimate.interval() or (None, None), known[name].domain), estimate.sd)
-            if profiled or estimate.interval()
-            else "",
+            interval_text(clipped(interval, known[name].domain), estimate.sd) if interval else "",
             remarks,
             style="yellow" if not estimate.determined else None,
         )
