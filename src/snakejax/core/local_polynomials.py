@@ -8,7 +8,8 @@ from math import comb
 
 import numpy as np
 from jaxtyping import Float
-from scipy.signal import savgol_coeffs, savgol_filter
+
+# `scipy.signal` is imported where it is used: that takes a tenth of the time of a sweep, which smooths nothing.
 
 FEWEST = 8
 """Least number of samples of a local cubic."""
@@ -26,11 +27,15 @@ def derivative(values: Float[np.ndarray, "n c"], frame: float, window: int, orde
 
     A sample each `frame` [s].
     """
+    from scipy.signal import savgol_filter
+
     return np.asarray(savgol_filter(values, window, 3 + order // 2, deriv=order, delta=frame, axis=0))
 
 
 def derivative_gain(frame: float, window: int, order: int) -> float:
     """The variance of `derivative` for samples with independent errors of variance one."""
+    from scipy.signal import savgol_coeffs
+
     weights = savgol_coeffs(window, 3 + order // 2, deriv=order, delta=frame)
     return float(weights @ weights)
 

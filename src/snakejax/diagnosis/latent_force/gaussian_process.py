@@ -134,9 +134,9 @@ class _Whitened:
         own = np.zeros(sum(map(len, self.places)))
         for j, (place, L) in enumerate(zip(self.places, self.roots, strict=True)):
             zero = [np.zeros((len(other), len(place))) for other in self.places[j + 1 :]]
-            spread = self._solved([L.T, *zero], j)
-            carried = sum(part.T @ rows[:, 1:] for part, rows in zip(spread, Z[j:], strict=True))
-            own[place] = sum((part**2).sum(axis=0) for part in spread)
+            spread = np.concatenate(self._solved([L.T, *zero], j))
+            carried = spread.T @ np.concatenate([rows[:, 1:] for rows in Z[j:]])
+            own[place] = (spread**2).sum(axis=0)
             own[place] += np.einsum("kp,pk->k", carried, linalg.cho_solve(factor, carried.T))
         return own
 
