@@ -15,6 +15,7 @@ from snakejax.dynamics.ports import Effect
 from snakejax.estimation.initial_model import starting_model
 from snakejax.recording.run import Case, Noise
 
+from .exact_checks import compile_later_programs
 from .selection.candidates import BaseFit, CandidateFit, CandidateSet, structures
 from .selection.criteria import SelectionCriteria
 from .selection.ranking import RankedCandidate, insert_by_refit, rank
@@ -97,14 +98,21 @@ def diagnose_base(
     options = structures(case, "", None, start_of(case, question))[: 2 if question.get("switch", True) else 1]
     how = BaseFit(frozenset(question.get("held", ())), question.get("threshold", np.inf))
 
-    def fitted(model: Model, switched: bool, progress: Progress) -> tuple[CandidateSet, CandidateFit]:
-        candidate_set = CandidateSet.of(model, case, noise, library, switched=switched, criteria=criteria, how=how)
-        return candidate_set, base_fit(candidate_set, with_, progress)
+    def candidates(model: Model, switched: bool) -> CandidateSet:
+        return CandidateSet.of(model, case, noise, library, switched=switched, criteria=criteria, how=how)
 
-    # The other structure needs nothing of the first: its programs are compiled on another core.
+    def fitted(model: Model) -> tuple[CandidateSet, CandidateFit]:
+        switched = candidates(model, True)
+        return switched, base_fit(switched, with_, no_progress)
+
+    candidate_set = candidates(options[0], False)
+    # The other structure needs nothing of the first: its programs are compiled on another core. Where there is none,
+    # that core compiles the programs that come later.
     with ContextThreads(1) as beside:
-        other = [beside.submit(fitted, model, True, no_progress) for model in options[1:]]
-        candidate_set, step = fitted(options[0], False, progress)
+        other = [beside.submit(fitted, model) for model in options[1:]]
+        if not other:
+            beside.submit(compile_later_programs, candidate_set, with_, case.constant_sd)
+        step = base_fit(candidate_set, with_, progress)
         ranking = tuple(rank(candidate_set, step, progress=progress))
         if other:
             progress(ProgressEvent(Phase.REFITTING_OTHER_STRUCTURE, f"refitting with {LATERAL_SLIP_SWITCH}"))

@@ -123,16 +123,31 @@ def constants_explain(candidate_set: CandidateSet, step: CandidateFit, stated: M
     The fit `step` has to leave only noise then, and each constant has to be within `STATED_WELL` standard deviations of
     its value: those `stated` [SI], or those of its kind.
     """
-    problem = candidate_set.problem
-    absent = [name for name in candidate_set.candidates if name not in step.effects]
-    model = problem.model.without(*absent)
-    known = parameters(model)
-    sds = {name: sd for name, sd in constant_sd(model, stated).items() if name in known}
-    names = [*candidate_set.free(step.effects), *sds]
-    freed = Problem.of(model, problem.runs, problem.noise, names, len(names), threshold=problem.threshold)
+    freed, sds = _with_free_constants(candidate_set, step.effects, stated)
+    known, names = parameters(freed.model), freed.names
     values = {name: value for name, value in step.solution.values.items() if name in names}
     solution = freed.fit(values, names, candidate_set.train, step.solution.start, crawl=CRAWL)
     if not consistent_with_noise(solution):
         return False
     moved = {name: abs(np.log(solution.values[name] / float(known[name].value))) for name in sds}
     return all(moved[name] <= STATED_WELL * sd for name, sd in sds.items())
+
+
+def _with_free_constants(
+    candidate_set: CandidateSet, effects: Sequence[str], stated: Mapping[str, float]
+) -> tuple[Problem, dict[str, float]]:
+    """The problem of the tyre, `effects` and the constants of the vehicle, and the standard deviations of these."""
+    problem = candidate_set.problem
+    absent = [name for name in candidate_set.candidates if name not in effects]
+    model = problem.model.without(*absent)
+    known = parameters(model)
+    sds = {name: sd for name, sd in constant_sd(model, stated).items() if name in known}
+    names = [*candidate_set.free(effects), *sds]
+    return Problem.of(model, problem.runs, problem.noise, names, len(names), threshold=problem.threshold), sds
+
+
+def compile_later_programs(candidate_set: CandidateSet, effects: Sequence[str], stated: Mapping[str, float]) -> None:
+    """Compile the programs that an explanation needs after its windows: of fits with several effects, and with free
+    constants. They are run for no recording at all."""
+    for problem in (candidate_set.problem, _with_free_constants(candidate_set, effects, stated)[0]):
+        problem.evaluate(problem.at(problem.values(), problem.names[: problem.width]), [])
