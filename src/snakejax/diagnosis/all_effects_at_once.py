@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from snakejax.core.errors import FitError
 from snakejax.core.progress import Progress
 from snakejax.estimation.fit_workspace import fit_heldout_starts
-from snakejax.estimation.goodness_of_fit import consistent_with_noise
+from snakejax.estimation.goodness_of_fit import consistent_with_noise, largest_noise_misfit
 from snakejax.recording.run import Case, Noise
 
 from .diagnosing import BaseDiagnosis
@@ -30,9 +30,10 @@ def with_all_effects_at_once(
     their priors.
 
     None where a model with a few effects is exact: a search on whole runs finds those. Where one of them is a law, the
-    law is looked for in the missing force instead. None where a model of some of the effects cannot be simulated. None
-    where a law is lacking: its force is too large for a random one, errors grow faster than a random force lets them,
-    or the effects do not lower the error.
+    law is looked for in the missing force instead, and where the effects leave more than noise, unless all that they
+    leave is noise that wanders. None where a model of some of the effects cannot be simulated. None where a law is
+    lacking: its force is too large for a random one, errors grow faster than a random force lets them, or the effects
+    do not lower the error.
     """
     candidate_set = diagnosis.switched[0] if diagnosis.switched else diagnosis.base.candidate_set
     if not supports(candidate_set):
@@ -56,7 +57,11 @@ def with_all_effects_at_once(
     if not _lower_error(steps):
         return None
     if not exact:
-        return explanation_of(case, noise, assessment, steps, predicts_heldout_runs(assessment, criteria))
+        explanation = explanation_of(case, noise, assessment, steps, predicts_heldout_runs(assessment, criteria))
+        train = explanation.final.train
+        if not assessment.evidence.may_lack_law or train.misfit <= largest_noise_misfit(train.samples):
+            return explanation
+        return by_exact_law(case, noise, diagnosis, progress) or explanation
     fit_set, fit = _fitted_to_whole_runs(candidate_set, assessment)
     if not consistent_with_noise(fit.solution):
         return None

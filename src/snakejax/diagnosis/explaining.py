@@ -11,7 +11,7 @@ from snakejax.core.progress import Progress, no_progress
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.dynamics.ports import Effect
 from snakejax.estimation.fit_workspace import fit_workspace
-from snakejax.estimation.goodness_of_fit import consistent_with_noise, largest_noise_misfit
+from snakejax.estimation.goodness_of_fit import consistent_with_noise
 from snakejax.estimation.joint_logs.clocks import STILL, free_clocks
 from snakejax.estimation.joint_logs.fitting import (
     with_aligned_logs,
@@ -27,7 +27,7 @@ from .all_effects_at_once import with_all_effects_at_once
 from .diagnosing import BaseDiagnosis, DiagnosisOptions, diagnose_base, start_of
 from .exact_checks import constants_explain, odd_run_rather_than_effect
 from .exact_explanation import exact_explanation, leaves_only_noise
-from .explaining_by_law import by_exact_law, by_exact_law_beside, conclude_with_law, latent_force_of, with_laws
+from .explaining_by_law import by_exact_law_beside, conclude_with_law, latent_force_of, with_laws
 from .explanation import Explanation
 from .law.adding import predicting_steps
 from .selection.acceptance import accept_structure
@@ -81,9 +81,6 @@ def explain(
     if not _one_effect_explains(diagnosis, case):
         explanation = with_all_effects_at_once(case, noise, diagnosis, progress)
         if explanation is not None:
-            train = explanation.final.train
-            if train.misfit > largest_noise_misfit(train.samples):
-                explanation = by_exact_law(case, noise, diagnosis, progress) or explanation
             for step in explanation.steps if logged else explanation.steps[1:]:
                 show(step)
             return explanation

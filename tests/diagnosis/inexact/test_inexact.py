@@ -265,3 +265,10 @@ def test_only_an_exact_model_bounds_the_unknown_force_by_what_recordings_exclude
     wide: Any = confidence.beside_unknown(search, linear, 0.02, exact)  # type: ignore[arg-type]
     np.testing.assert_allclose(wide.force, share * scales.force)
     assert wide.force_time == CRITERIA.shortest_force
+
+
+@pytest.mark.parametrize(
+    ("force", "wandering", "may"), [(0.0, 0.0, True), (20.0, 0.0, True), (20.0, 1e4, True), (0.0, 1e4, False)]
+)
+def test_no_law_is_missing_where_all_that_is_left_is_noise_that_wanders(force, wandering, may) -> None:
+    assert ModelEvidence(force, wandering, 0.0, CRITERIA.random_force_chi2).may_lack_law is may

@@ -29,6 +29,14 @@ class ModelEvidence(NamedTuple):
         return self.force > self.least
 
     @property
+    def may_lack_law(self) -> bool:
+        """Whether one law more may leave nothing but white noise: a force is missing, or no noise wanders.
+
+        Noise is found to wander beside a random force, which takes the place of any law.
+        """
+        return self.has_force or self.wandering <= self.least
+
+    @property
     def exact(self) -> bool:
         """Whether the model with the stated constants and white noise is all that there is."""
         return not (self.has_force or self.wandering > self.least or self.constants > self.least)
