@@ -11,6 +11,7 @@ import numpy as np
 
 from snakejax.core.parameter import Scalar
 
+from .active_effects import ActiveEffects
 from .conditions import ByCondition
 from .constraints import AbstractConstraint
 from .contact import AppliedForces, Configuration, Motion, Velocities, Wheel, combined_slip, slip_angle
@@ -28,7 +29,6 @@ from .ports import (
     TyreModifier,
     TyreState,
 )
-from .switches import Switches
 from .tyres import AbstractTyre, Pacejka
 from .vehicle import AbstractVehicle
 
@@ -53,8 +53,8 @@ class Model(eqx.Module):
     tyre: AbstractTyre
     constraint: AbstractConstraint
     effects: OrderedDict[str, Effect]
-    switches: Switches | None
-    """Which effects can change anything, see `switches_of`; None: all."""
+    active: ActiveEffects | None
+    """Which effects can change anything, see `active_effects`; None: all."""
 
     def __init__(
         self,
@@ -69,7 +69,7 @@ class Model(eqx.Module):
                 raise ValueError(f"Argument `constraint` must be one of {known}, but it is {constraint!r}.")
             constraint = board.structures[constraint]()
         self.board, self.tyre, self.constraint, self.effects = board, tyre, constraint, OrderedDict(effects)
-        self.switches = None
+        self.active = None
 
     def __repr__(self) -> str:
         """`Model(Board(mass=7 kg, ...), Pacejka(B=8 1/rad, ...), 'free', {'ground_slope': GroundSlope(...)})`."""
@@ -123,16 +123,16 @@ class Model(eqx.Module):
         effects = [effect for effect in self.effects.values() if isinstance(effect, port)]
         return sorted(effects, key=lambda effect: getattr(effect, "order", 0))
 
-    def switched(self, switches: Switches) -> "Model":
-        """This model, whose compiled rates pass by the effects that are off; these must be neutral."""
-        return eqx.tree_at(lambda model: model.switches, self, switches, is_leaf=lambda leaf: leaf is None)
+    def with_active(self, active: ActiveEffects) -> "Model":
+        """This model, whose compiled rates pass by the effects that are not `active`; these must be neutral."""
+        return eqx.tree_at(lambda model: model.active, self, active, is_leaf=lambda leaf: leaf is None)
 
-    def _where_on(self, port: type[Effect], changed: Callable[[], T], unchanged: Callable[[], T]) -> T:
-        """`changed()`, with the effects of `port`; `unchanged()` where all of them are off."""
+    def _where_active(self, port: type[Effect], changed: Callable[[], T], unchanged: Callable[[], T]) -> T:
+        """`changed()`, with the effects of `port`; `unchanged()` where none of them is active."""
         names = [name for name, effect in self.effects.items() if isinstance(effect, port)]
-        if self.switches is None or not names:
+        if self.active is None or not names:
             return changed()
-        return jax.lax.cond(jnp.any(jnp.stack([self.switches[name] for name in names])), changed, unchanged)
+        return jax.lax.cond(jnp.any(jnp.stack([self.active[name] for name in names])), changed, unchanged)
 
     def effective_vehicle(self) -> AbstractVehicle:
         """The board after all `Geometry` effects."""
@@ -209,7 +209,7 @@ class Model(eqx.Module):
         self, t: Scalar, body: tuple[Scalar, ...], gait: AbstractInputs, board: AbstractVehicle
     ) -> Configuration:
         """The joints at time `t` [s] after all effects: inputs, free joints and the angles of the wheels."""
-        inputs = self._where_on(InputModifier, lambda: self.commanded(gait).at(t), lambda: gait.at(t))
+        inputs = self._where_active(InputModifier, lambda: self.commanded(gait).at(t), lambda: gait.at(t))
         inputs = inputs | self.constraint.free_joints(body, board)
         joints = []
         for wheelset in board.wheelsets:
@@ -239,7 +239,7 @@ class Model(eqx.Module):
             return sum((effect.resistance(wheel, motion) for effect in self.effects_of(RollingForce)), zero)
 
         wheels = motion.wheels
-        return self._where_on(RollingForce, lambda: tuple(map(against, wheels)), lambda: (zero,) * len(wheels))
+        return self._where_active(RollingForce, lambda: tuple(map(against, wheels)), lambda: (zero,) * len(wheels))
 
     def _wrench(self, motion: Motion) -> tuple[Scalar, ...]:
         """The wrench of all `Force` effects on the body."""
@@ -251,7 +251,7 @@ class Model(eqx.Module):
                 wrench = tuple(a + b for a, b in zip(wrench, effect.wrench(motion), strict=True))
             return wrench
 
-        return self._where_on(Force, total, lambda: zeros)
+        return self._where_active(Force, total, lambda: zeros)
 
     def traction(self, motion: Motion, memories: tuple[tuple[Scalar, ...], ...]) -> tuple[Scalar, ...]:
         """The lateral force F_i [N] of each wheelset, positive against its slip."""
@@ -289,7 +289,7 @@ class Model(eqx.Module):
                 changed = effect.tyre(changed, motion)
             return changed.force(slip, speed)
 
-        return self._where_on(TyreModifier, modified, lambda: tyre.force(slip, speed))
+        return self._where_active(TyreModifier, modified, lambda: tyre.force(slip, speed))
 
     def _lateral(self, force: Scalar, wheel: Wheel, motion: Motion) -> Scalar:
         """The lateral `force` [N] of a wheelset after all `LateralForce` effects."""
@@ -300,7 +300,7 @@ class Model(eqx.Module):
                 last = effect.lateral(last, wheel, motion)
             return last
 
-        return self._where_on(LateralForce, changed, lambda: force)
+        return self._where_active(LateralForce, changed, lambda: force)
 
     def observe(self, body: tuple[Scalar, ...]) -> tuple[Scalar, Scalar, Scalar]:
         """(x [m], y [m], heading [rad]) as motion capture reports them, after all `Sensor` effects."""

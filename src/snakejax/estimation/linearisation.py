@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from snakejax.core.parameter import Domain, parameters, require_in_domain, with_parameters
+from snakejax.dynamics.active_effects import active_effects
 from snakejax.dynamics.model import Model
-from snakejax.dynamics.switches import switches_of
 from snakejax.simulation.integrate import Accuracy, simulate
 
 from .batch import Batch
@@ -123,11 +123,11 @@ def _run_residual(model, names, values, start, batch: Batch, accuracy: Accuracy)
     return whitened(jnp.where(batch.weight > 0, (batch.pose - pose) * batch.weight, 0.0), batch.whitening)
 
 
-def _switched(model: Model, at: Variables, values: Float[Array, " P"]) -> Model:
-    """`model` with its effects switched off that are neutral at `values` and do not move."""
+def _with_active_effects(model: Model, at: Variables, values: Float[Array, " P"]) -> Model:
+    """`model`, with the effects active that are not neutral at `values` or that move."""
     named = with_parameters(model, {name: values[k] for k, name in enumerate(at.names)})
     moving = {name: jnp.any(at.directions[:, k] != 0) for k, name in enumerate(at.names)}
-    return model.switched(switches_of(named, moving))
+    return model.with_active(active_effects(named, moving))
 
 
 def linearise(model, at: Variables, batch: Batch, order, count, steps, start_steps, accuracy) -> Linearised:
@@ -139,7 +139,7 @@ def linearise(model, at: Variables, batch: Batch, order, count, steps, start_ste
     width, depth = at.directions.shape[0], at.start.shape[1]
     R, n = batch.times.shape
     domains = domains_of(model, at.names)
-    model = _switched(model, at, retract(domains, at, steps))
+    model = _with_active_effects(model, at, retract(domains, at, steps))
 
     def add_run(run: Int[Array, ""], linearised: Linearised) -> Linearised:
         k = order[run]

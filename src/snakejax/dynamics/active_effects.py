@@ -1,4 +1,4 @@
-"""Switches of effects: a compiled program passes by the effects that can change nothing.
+"""Active effects: a compiled program passes by those that can change nothing.
 
 A search for a missing effect has all of them in one model, so that one program serves every candidate. Most of them are
 neutral at a time.
@@ -19,28 +19,29 @@ from .conditions import ByCondition
 if TYPE_CHECKING:
     from .model import Model
 
-Switches = OrderedDict[str, Bool[Array, ""]]
+ActiveEffects = OrderedDict[str, Bool[Array, ""]]
 """Whether an effect can change anything, by its name."""
 
 
-def switches_of(model: "Model", moving: Mapping[str, Bool[Array, ""]]) -> Switches:
-    """The switches of all effects of `model`; parameters may be traced.
+def active_effects(model: "Model", moving: Mapping[str, Bool[Array, ""]]) -> ActiveEffects:
+    """Which effects of `model` are active; parameters may be traced.
 
-    An effect is on where one of its parameters has another value than its default, which is neutral; where the
-    derivative by one of them is asked, which `moving` says by dotted name; where its parameters differ between
-    conditions; and where it has none.
+    `moving`: the parameters that are candidates of a fit, by dotted name, and whether the derivative by each is asked.
+    An effect is passed by if all its parameters are candidates, none of them moves, and all have their defaults, which
+    are neutral for a candidate. One whose parameters differ between conditions is active.
     """
     conditions = model.effects_of(ByCondition)
     varied = {name for effect in conditions for difference in effect.differences for name in difference.names}
-    switches: Switches = OrderedDict()
+    active: ActiveEffects = OrderedDict()
     for name, effect in model.effects.items():
         defaults = {field.name: field.default for field in dataclasses.fields(effect)}  # type: ignore[arg-type]
         known = {f"effects.{name}.{part}": (part, value.value) for part, value in own_parameters(effect)}
-        on = [jnp.asarray(not known or not varied.isdisjoint(known))]
-        for dotted, (part, value) in known.items():
-            on += [jnp.asarray(value != _neutral(defaults[part])), jnp.asarray(moving.get(dotted, False))]
-        switches[name] = jnp.any(jnp.stack(on))
-    return switches
+        if not known or not known.keys() <= moving.keys() or not varied.isdisjoint(known):
+            active[name] = jnp.asarray(True)
+            continue
+        changed = [jnp.asarray(value != _neutral(defaults[part])) for part, value in known.values()]
+        active[name] = jnp.any(jnp.stack([*changed, *(jnp.asarray(moving[dotted]) for dotted in known)]))
+    return active
 
 
 def _neutral(default: object) -> float:

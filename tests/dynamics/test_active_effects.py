@@ -7,9 +7,9 @@ import pytest
 
 from snakejax import TABLE_II, Board, Gait, Model, Noise, Pacejka, Run, Sines
 from snakejax.core.parameter import parameters, with_parameters
+from snakejax.dynamics.active_effects import active_effects
 from snakejax.dynamics.conditions import by_condition, differences_of
 from snakejax.dynamics.ports import Force, InputModifier, LateralForce, RollingForce, TyreModifier
-from snakejax.dynamics.switches import switches_of
 from snakejax.effects import LIBRARY
 from snakejax.estimation.linearisation import first, linearise
 from snakejax.estimation.problem import Problem
@@ -23,12 +23,18 @@ OTHER = {
     "effects.grip_split.s": 0.1,
     "effects.stribeck_grip.s": 0.2,
 }
-"""One effect or two of each port that is switched."""
+"""One effect or two of each port that may be passed by."""
 
 
 def all_effects() -> Model:
     """A board with every effect of the library, all neutral."""
     return Model(Board(**TABLE_II), TYRE, "free", {name: kind() for name, kind in LIBRARY.items()})
+
+
+def candidates(*moving: str) -> dict[str, jnp.ndarray]:
+    """The parameters of all effects, of which those `moving` are estimated."""
+    names = [name for name in parameters(all_effects()) if name.startswith("effects.")]
+    return {name: jnp.asarray(name in moving) for name in names}
 
 
 def problem() -> Problem:
@@ -41,7 +47,7 @@ def problem() -> Problem:
 
 
 @pytest.mark.parametrize("values", [{}, OTHER], ids=["all neutral", "six in force"])
-def test_residuals_and_derivatives_are_those_without_switches(values, monkeypatch) -> None:
+def test_residuals_and_derivatives_are_those_with_all_effects_active(values, monkeypatch) -> None:
     whole = problem()
     here, names, start = whole.values() | values, whole.names, np.array([[0.1, 0.2, 0.3, 0.4, 0.02, 0.1]])
     order, count = first([0], whole.batch)
@@ -53,7 +59,7 @@ def test_residuals_and_derivatives_are_those_without_switches(values, monkeypatc
         return program(whole.model, at, whole.batch, order, count, *steps, whole.accuracy)
 
     alone = [linearised([name]) for name in names]
-    monkeypatch.setattr(Model, "switched", lambda model, _: model)
+    monkeypatch.setattr(Model, "with_active", lambda model, _: model)
     program = eqx.filter_jit(linearise)
     together = linearised(names)
     for k, (name, one) in enumerate(zip(names, alone, strict=True)):
@@ -67,17 +73,17 @@ def test_residuals_and_derivatives_are_those_without_switches(values, monkeypatc
         assert any(name.split(".")[1] in of_port for name in used if name.startswith("effects.")), port
 
 
-def test_an_effect_is_on_where_it_is_not_neutral_or_moves() -> None:
+def test_an_effect_is_active_where_it_is_not_neutral_or_moves() -> None:
     model = with_parameters(all_effects(), {"effects.body_drag.c": 0.3})
-    on = switches_of(model, {"effects.ground_slope.sy": jnp.asarray(True), "effects.yaw_bias.t": jnp.asarray(False)})
-    assert {name for name, is_on in on.items() if is_on} == {"body_drag", "ground_slope"}
+    on = active_effects(model, candidates("effects.ground_slope.sy"))
+    assert {name for name, active in on.items() if active} == {"body_drag", "ground_slope"}
 
 
-def test_an_effect_that_differs_between_conditions_is_on() -> None:
+def test_an_effect_that_differs_between_conditions_is_active() -> None:
     model = all_effects()
     differences = differences_of(model, ["effects.yaw_bias.t"], ("wet",))
     by_floor = model.add(by_floor=by_condition("floor", differences)())
-    assert {name for name, is_on in switches_of(by_floor, {}).items() if is_on} == {"yaw_bias"}
+    assert {name for name, is_on in active_effects(by_floor, candidates()).items() if is_on} == {"yaw_bias", "by_floor"}
 
 
 class Constant(Force):
@@ -87,5 +93,11 @@ class Constant(Force):
         return jnp.ones_like(motion.time), jnp.zeros_like(motion.time), jnp.zeros_like(motion.time)
 
 
-def test_an_effect_without_parameters_is_on() -> None:
-    assert switches_of(all_effects().add(constant=Constant()), {})["constant"]
+def test_an_effect_without_parameters_is_active() -> None:
+    assert active_effects(all_effects().add(constant=Constant()), candidates())["constant"]
+
+
+def test_an_effect_that_is_no_candidate_is_active() -> None:
+    """Its default need not be neutral where a user has put it in."""
+    of_slope = {name: moves for name, moves in candidates().items() if "ground_slope" not in name}
+    assert {name for name, active in active_effects(all_effects(), of_slope).items() if active} == {"ground_slope"}
