@@ -53,7 +53,7 @@ class Model(eqx.Module):
     tyre: AbstractTyre
     constraint: AbstractConstraint
     effects: OrderedDict[str, Effect]
-    active: ActiveEffects | None
+    active: ActiveEffects | None = eqx.field(init=False)
     """Which effects can change anything, see `active_effects`; None: all."""
 
     def __init__(

@@ -142,7 +142,7 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (("fit", LEVEL, "--effect", "com_offset", "--skid", "coupled"), "cannot act here"),
         (("fit", LEVEL, "--robust=-1"), "option --robust"),
         (("fit", LEVEL, "--bootstrap", "6"), "6 refits are too few for the ends of a 95% interval, option --bootstrap"),
-        (("fit", LEVEL, "--bootstrap", "40", "--free="), "No parameter is estimated, option --bootstrap"),
+        (("fit", LEVEL, "--bootstrap", "40", "--free=", "--quiet"), "No parameter is estimated, option --bootstrap"),
         (("fit", LEVEL, "--from", "no.json"), "Cannot read the saved fit"),
         (("fit", LEVEL, "--from", DATA / "README.md"), "is not JSON"),
         (("fit", LEVEL, LEVEL), "Two CASEs have the name `level-board`"),
