@@ -129,4 +129,5 @@ def wilson(good: int, of: int) -> tuple[float, float]:
         return math.nan, math.nan
     share, z2 = good / of, Z95**2
     centre, half = share + z2 / (2 * of), Z95 * math.sqrt(share * (1 - share) / of + z2 / (4 * of * of))
-    return (centre - half) / (1 + z2 / of), (centre + half) / (1 + z2 / of)
+    low, high = (centre - half) / (1 + z2 / of), (centre + half) / (1 + z2 / of)
+    return max(low, 0.0), min(high, 1.0)  # rounding may lead across
