@@ -44,6 +44,10 @@ class Domain(NamedTuple):
         """`value` after a `step` z: value exp(z) if multiplicative, else value + z; it may lie outside the domain."""
         return float(value * np.exp(step) if self.multiplicative else value + step)
 
+    def moved_inside(self, value: float, step: float) -> float:
+        """`moved`, and at the bound that this would cross."""
+        return float(np.clip(self.moved(value, step), self.low, self.high))
+
     def complaint(self, value: float) -> str | None:
         """The reason why `value` is outside this domain, or None if it is inside."""
         if not math.isfinite(value):

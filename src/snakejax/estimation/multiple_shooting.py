@@ -171,7 +171,7 @@ class Windows(eqx.Module):
         moved = dict(values)
         for name, domain, move in zip(free, domains_of(self.problem.model, free), step, strict=True):
             move = float(np.clip(move, -1.0, 1.0)) if domain.multiplicative else float(move)
-            moved[name] = float(np.clip(domain.moved(values[name], move), domain.low, domain.high))
+            moved[name] = domain.moved_inside(values[name], move)
         return moved
 
     def _recovered(self, values, free, starts, before: Linearised, cost: float) -> tuple[np.ndarray, Linearised]:

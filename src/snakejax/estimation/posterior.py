@@ -45,7 +45,7 @@ def posterior_samples(fit: Fit, count: int, seed: int = 0, progress: Progress = 
     def moved(step: np.ndarray) -> dict[str, float]:
         values = dict(best.values)
         for name, domain, move in zip(names, domains, step, strict=True):
-            values[name] = float(np.clip(domain.moved(values[name], move), domain.low, domain.high))
+            values[name] = domain.moved_inside(values[name], move)
         return values
 
     def drawn() -> np.ndarray:

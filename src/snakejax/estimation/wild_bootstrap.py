@@ -74,7 +74,7 @@ def bootstrap(fit: Fit, count: int = 200, seed: int = 0, progress: Progress = no
     def refit(k: int) -> Solution:
         values = dict(best.values)
         for name, domain, step in zip(best.free, domains, steps[k], strict=False):
-            values[name] = float(np.clip(domain.moved(values[name], step), domain.low, domain.high))
+            values[name] = domain.moved_inside(values[name], step)
         made_up = eqx.tree_at(lambda p: p.batch.pose, problem, jnp.asarray(blocks.poses(problem, signs[k])))
         start = best.start + steps[k][K:].reshape(shape)
         solution = made_up.fit(values, best.free, train, start, threshold=best.threshold, enough=ENOUGH)

@@ -208,7 +208,7 @@ def fit_windows_robustly(
         step, moves = _step(now, point, domains, prior, scale, phi, damping)
         start = point.start.copy()
         start[list(windows)] += moves
-        moved = {name: _inside(d, d.moved(point.values[name], step[k])) for k, (name, d) in enumerate(domains.items())}
+        moved = {name: d.moved_inside(point.values[name], step[k]) for k, (name, d) in enumerate(domains.items())}
         trial = WindowPoint({**point.values, **moved}, start)
         then = linearised_windows(problem, trial, free, windows, until, secants)
         before = _cost(now, point, domains, prior, scale, phi)
@@ -225,10 +225,6 @@ def fit_windows_robustly(
             converged = True
             break
     return point._replace(converged=converged)
-
-
-def _inside(domain, value: float) -> float:
-    return float(np.clip(value, domain.low, domain.high))
 
 
 def _pulls(point: WindowPoint, domains, prior: WindowPrior, phi: float) -> tuple[np.ndarray, np.ndarray]:

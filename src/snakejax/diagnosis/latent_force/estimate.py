@@ -172,9 +172,7 @@ class ForceEstimator(eqx.Module):
         step = np.array(
             [np.clip(s, -1.0, 1.0) if d.multiplicative else s for s, d in zip(post.step, domains, strict=True)]
         )
-        values = [
-            np.clip(d.moved(v, share * s), d.low, d.high) for v, s, d in zip(point.values, step, domains, strict=True)
-        ]
+        values = [d.moved_inside(v, share * s) for v, s, d in zip(point.values, step, domains, strict=True)]
         start, free_start, local = point.start.copy(), np.asarray(self.batch.free_start), self.local(post.force)
         for k, window in enumerate(windows):
             t, y, columns = window.back

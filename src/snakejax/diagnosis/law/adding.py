@@ -102,8 +102,8 @@ def fitted_laws(
     for (name, estimate), step in zip(missing.estimates.items(), laws[-1].steps, strict=True):
         if name in values:
             domain = known[name].domain
-            moved = domain.moved(estimate.value, float(np.clip(step, -0.5, 0.5) if domain.multiplicative else step))
-            values[name] = float(np.clip(moved, domain.low, domain.high))
+            short = float(np.clip(step, -0.5, 0.5) if domain.multiplicative else step)
+            values[name] = domain.moved_inside(estimate.value, short)
     values |= {f"effects.{n}.{part}": value for n, law in named.items() for part, value in law.values.items()}
     names = (*effects, *named)
     solution = refit(candidate_set, names, values)

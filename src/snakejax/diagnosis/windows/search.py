@@ -196,10 +196,7 @@ class WindowSearch(NamedTuple):
     def _moved(self, point: WindowPoint, columns: Sequence[int], step: np.ndarray) -> tuple[float, ...]:
         names = [self.model.names[k] for k in columns]
         domains = self.prior.domains(self.problem, names)
-        return tuple(
-            float(np.clip(d.moved(point.values[name], s), d.low, d.high))
-            for (name, d), s in zip(domains.items(), step, strict=True)
-        )
+        return tuple(d.moved_inside(point.values[name], s) for (name, d), s in zip(domains.items(), step, strict=True))
 
 
 def larger_sd(optimum: Optimum, covariance: np.ndarray, columns: Sequence[int]) -> np.ndarray:
