@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from snakejax.core.autocorrelation import memory
 from snakejax.core.parallel import ContextThreads
 from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
 
@@ -17,9 +18,8 @@ from .problem import Problem, Solution
 from .whitening import coloured
 
 MEMORIES, SHORTEST = 5.0, 0.25
-"""Duration of a block, as a multiple of the time in which the autocorrelation of the residuals falls below `FORGOTTEN`,
+"""Duration of a block, as a multiple of the time in which the autocorrelation of the residuals falls below a tenth,
 so that few errors reach from one block into the next; and the shortest duration [s]."""
-FORGOTTEN = 0.1
 FEWEST_BLOCKS = 4
 """Blocks of each run at least: with fewer the spread of the refits is that of a few signs."""
 ENOUGH = 0.01
@@ -107,11 +107,11 @@ class _Blocks(NamedTuple):
     def of(problem: Problem, best: Solution, train: list[int]) -> "_Blocks":
         """The blocks at the optimum `best`."""
         times = np.asarray(problem.batch.times)[train]
-        duration = _block_duration(times, np.asarray(best.linearised.residual)[train])
+        residual, weight = (np.asarray(p)[train] for p in (best.linearised.residual, problem.batch.weight))
+        duration = _block_duration(times, np.where(weight > 0, residual, np.nan))
         number = np.floor((times - times[:, :1]) / duration).astype(int)
         number += (number.max() + 1) * np.arange(len(train))[:, None]
         number = np.unique(number, return_inverse=True)[1].reshape(number.shape)
-        residual = np.asarray(best.linearised.residual)[train]
         parts = [_columns(problem, best, run) for run in train]
         size = len(best.free) + best.start.size
         N = np.zeros((size, size))
@@ -141,15 +141,11 @@ class _Blocks(NamedTuple):
 
 
 def _block_duration(times: Float[np.ndarray, "R n"], residual: Float[np.ndarray, "R n 3"]) -> float:
-    """The duration [s] of a block, from the autocorrelation of the `residual` of the channel that remembers longest."""
-    step, count = float(np.median(np.diff(times))), residual.shape[1]
-    centred = residual - residual.mean(axis=1, keepdims=True)
-    spectrum = np.abs(np.fft.rfft(centred, 2 * count, axis=1)) ** 2
-    lagged = np.fft.irfft(spectrum.sum(axis=0), axis=0)[:count]
-    forgotten = lagged < FORGOTTEN * np.maximum(lagged[:1], 1e-300)
-    memory = step * float(np.argmax(np.concatenate([forgotten, np.ones((1, 3), bool)]), axis=0).max())
+    """The duration [s] of a block, from the memory of the `residual` (NaN: missing) of the channel that has most."""
+    step = float(np.median(np.diff(times)))
+    forgotten = step * max(memory(residual[..., channel]) for channel in range(3))
     longest = float((times[:, -1] - times[:, 0]).min()) / FEWEST_BLOCKS
-    return min(max(MEMORIES * memory, SHORTEST), longest)
+    return min(max(MEMORIES * forgotten, SHORTEST), longest)
 
 
 def _columns(problem: Problem, best: Solution, run: int) -> tuple[np.ndarray, np.ndarray]:

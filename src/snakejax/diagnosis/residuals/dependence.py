@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from snakejax.core.autocorrelation import memory
 from snakejax.dynamics.observation import CHANNELS
 
 from .replays import ResidualSeries
@@ -175,22 +176,9 @@ def blocks(series: Sequence[ResidualSeries], channel: int, shortest: float = 0.1
     numbers, first = [], 0
     for track in series:
         span = float(track.times[-1] - track.times[0])
-        memory = _forgotten(track.residual[:, channel]) * span / (track.times.size - 1)
-        within = max(int(span / max(min(4 * memory, span / 2), shortest)), 1)
+        forgotten = memory(track.residual[None, :, channel]) * span / (track.times.size - 1)
+        within = max(int(span / max(min(4 * forgotten, span / 2), shortest)), 1)
         own = np.minimum((track.times - track.times[0]) / span * within, within - 0.5).astype(int)
         numbers.append(first + own)
         first += within
     return np.concatenate(numbers)
-
-
-def _forgotten(residual: Float[np.ndarray, " n"]) -> int:
-    """After how many samples the autocorrelation has fallen below 0.1."""
-    present = np.isfinite(residual)
-    if not present.any():
-        return 1
-    e = np.where(present, residual - residual[present].mean(), 0.0)
-    size = 2 * e.size
-    products, pairs = (np.fft.irfft(np.abs(np.fft.rfft(part, size)) ** 2)[: e.size] for part in (e, present * 1.0))
-    correlation = products / np.maximum(pairs, 1.0)
-    low = np.flatnonzero(correlation < 0.1 * correlation[0])
-    return int(low[0]) if low.size else e.size
