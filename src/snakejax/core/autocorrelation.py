@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 FORGOTTEN = 0.1
+"""Autocorrelation below which errors have forgotten each other."""
 
 
 def memory(residuals: Float[np.ndarray, "R n"]) -> int:

@@ -1,7 +1,7 @@
 """Diagnosis: which effect is missing?"""
 
 import dataclasses
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, NamedTuple, TypedDict, Unpack
 
 import numpy as np
@@ -15,7 +15,6 @@ from snakejax.dynamics.ports import Effect
 from snakejax.estimation.initial_model import starting_model
 from snakejax.recording.run import Case, Noise
 
-from .exact_checks import compile_later_programs
 from .selection.candidates import BaseFit, CandidateFit, CandidateSet, structures
 from .selection.criteria import SelectionCriteria
 from .selection.ranking import RankedCandidate, insert_by_refit, rank
@@ -90,9 +89,17 @@ def start_of(case: Case, question: DiagnosisOptions) -> Model:
 
 
 def diagnose_base(
-    case: Case, noise: Noise, library: Mapping[str, Effect], **question: Unpack[DiagnosisOptions]
+    case: Case,
+    noise: Noise,
+    library: Mapping[str, Effect],
+    meanwhile: Callable[[CandidateSet], None] = lambda _: None,
+    **question: Unpack[DiagnosisOptions],
 ) -> BaseDiagnosis:
-    """`diagnose`, with the workspace in which an explanation goes on."""
+    """`diagnose`, with the workspace in which an explanation goes on.
+
+    The other structure is fitted on another core. Where there is none, `meanwhile` is called there with the candidates,
+    to make what follows quicker; an error of it is met where it matters.
+    """
     criteria = question.get("criteria") or SelectionCriteria.of(case)
     with_, progress = question.get("with_", ()), question.get("progress", no_progress)
     options = structures(case, "", None, start_of(case, question))[: 2 if question.get("switch", True) else 1]
@@ -106,12 +113,10 @@ def diagnose_base(
         return switched, base_fit(switched, with_, no_progress)
 
     candidate_set = candidates(options[0], False)
-    # The other structure needs nothing of the first: its programs are compiled on another core. Where there is none,
-    # that core compiles the programs that come later.
     with ContextThreads(1) as beside:
         other = [beside.submit(fitted, model) for model in options[1:]]
         if not other:
-            beside.submit(compile_later_programs, candidate_set, with_, case.constant_sd)
+            beside.submit(meanwhile, candidate_set)
         step = base_fit(candidate_set, with_, progress)
         ranking = tuple(rank(candidate_set, step, progress=progress))
         if other:

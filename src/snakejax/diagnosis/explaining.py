@@ -1,6 +1,7 @@
 """The loop: fit, compare, diagnose, add, refit, until only noise is left or nothing known explains the rest."""
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Unpack
 
@@ -25,7 +26,7 @@ from snakejax.recording.run import Case, Noise
 
 from .all_effects_at_once import with_all_effects_at_once
 from .diagnosing import BaseDiagnosis, DiagnosisOptions, diagnose_base, start_of
-from .exact_checks import constants_explain, odd_run_rather_than_effect
+from .exact_checks import compile_later_programs, constants_explain, odd_run_rather_than_effect
 from .exact_explanation import exact_explanation, leaves_only_noise
 from .explaining_by_law import by_exact_law_beside, conclude_with_law, latent_force_of, with_laws
 from .explanation import Explanation
@@ -69,7 +70,8 @@ def explain(
         case = with_estimated_logs(start_of(case, question), case, noise, progress)
     # Steps on clocks that are still to be improved are shown to nobody.
     show_now = no_progress if logged else show
-    diagnosis = diagnose_base(case, noise, library, **question)
+    programs = functools.partial(compile_later_programs, effects=question.get("with_", ()), stated=case.constant_sd)
+    diagnosis = diagnose_base(case, noise, library, programs, **question)
     show_now(diagnosis.base.record)
     # Clocks of short windows are too coarse to tell whether one effect leaves only noise.
     for _ in range(diagnosis.base.candidate_set.criteria.log_clock_rounds if logged else 0):

@@ -26,8 +26,8 @@ FEWEST_RECORDINGS = 10
 linear problem says little without it."""
 
 
-class Interval(NamedTuple):
-    """A 95% interval and its `source`, "profile" or "bootstrap"; an open end is None."""
+class RefittedInterval(NamedTuple):
+    """A 95% interval from refits, and its `source`, "profile" or "bootstrap"; an open end is None."""
 
     low: float | None
     high: float | None

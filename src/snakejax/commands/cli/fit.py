@@ -7,7 +7,7 @@ from typing import Any
 from snakejax.core.progress import Phase, Progress, ProgressEvent
 
 from .animation import add_films, require_films
-from .fit_pipeline import bootstrapped, fitted, profiled, refits, report_fit
+from .fit_pipeline import bootstrapped, fitted, profiled, report_fit, require_refits
 from .options import add_cases, add_command, add_fitting, add_model, add_output, given, threshold
 from .pipeline import Outcome, Stopwatch, each_case
 
@@ -40,7 +40,7 @@ def add(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Fit each CASE."""
     threshold(options.robust)
-    refits(options.bootstrap)
+    require_refits(options.bootstrap)
     require_films(options)
     return each_case(options, lambda case, say: work(options, case, say))
 
@@ -48,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
 def work(options: argparse.Namespace, case: Any, say: Progress) -> Outcome:
     """Fit one case."""
     from snakejax.estimation.profile_likelihood import profile
-    from snakejax.estimation.uncertainty import Interval
+    from snakejax.estimation.uncertainty import RefittedInterval
     from snakejax.present.as_json.fit import fit_json
     from snakejax.present.as_json.provenance import provenance_json
     from snakejax.present.as_text.fit import fit_report
@@ -58,7 +58,7 @@ def work(options: argparse.Namespace, case: Any, say: Progress) -> Outcome:
     fit, intervals = bootstrapped(options, fit, say)
     for name in profiled(options, fit):
         say(ProgressEvent(Phase.PROFILE, f"profile of {name}"))
-        intervals[name] = Interval(*profile(fit, name), "profile")
+        intervals[name] = RefittedInterval(*profile(fit, name), "profile")
     provenance = provenance_json(options.seed, given(options), case.sha256)
     result = fit_json(case, noise, fit, provenance, intervals, clock.seconds())
 

@@ -13,7 +13,7 @@ from .options import model_options, names
 
 if TYPE_CHECKING:
     from snakejax.estimation.fit_record import Fit
-    from snakejax.estimation.uncertainty import Interval
+    from snakejax.estimation.uncertainty import RefittedInterval
     from snakejax.recording.run import Case, Noise
 
 
@@ -45,23 +45,22 @@ FEWEST_REFITS = 40
 """With fewer refits an end of the 95% interval is an extreme of them."""
 
 
-def refits(count: int | None) -> int | None:
-    """The number of `--bootstrap`; None without it. **Raises:** `InputError` for too few."""
+def require_refits(count: int | None) -> None:
+    """Check the number of `--bootstrap`. **Raises:** `InputError` for too few."""
     if count is not None and count < FEWEST_REFITS:
         what = f"{count} refits are too few for the ends of a 95% interval"
         raise InputError(what, "option --bootstrap", f"give at least {FEWEST_REFITS}, such as 200")
-    return count
 
 
-def bootstrapped(options: argparse.Namespace, fit: "Fit", say: Progress) -> "tuple[Fit, dict[str, Interval]]":
+def bootstrapped(options: argparse.Namespace, fit: "Fit", say: Progress) -> "tuple[Fit, dict[str, RefittedInterval]]":
     """The intervals of `--bootstrap`, none without it, and `fit`, which says how many refits did not converge.
 
     **Raises:** `InputError` if no parameter is estimated.
     """
-    from snakejax.estimation.uncertainty import Interval
+    from snakejax.estimation.uncertainty import RefittedInterval
     from snakejax.estimation.wild_bootstrap import bootstrap
 
-    count = refits(options.bootstrap)
+    count = options.bootstrap
     if count is None:
         return fit, {}
     if not fit.fitted.loose:
@@ -71,7 +70,7 @@ def bootstrapped(options: argparse.Namespace, fit: "Fit", say: Progress) -> "tup
         lacking = f"{refitted.failed} of {count} refits did not converge; the intervals are those of the others."
         fit = dataclasses.replace(fit, advice=(*fit.advice, lacking))
     ends = refitted.intervals()
-    return fit, {name: Interval(*ends[name], "bootstrap") for name in fit.fitted.loose}
+    return fit, {name: RefittedInterval(*ends[name], "bootstrap") for name in fit.fitted.loose}
 
 
 def report_fit(

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from snakejax.core.parameter import short_name
 from snakejax.estimation.fit_record import Fit
-from snakejax.estimation.uncertainty import Estimate, Interval
+from snakejax.estimation.uncertainty import Estimate, RefittedInterval
 from snakejax.recording.run import Case, Noise, Run
 
 from .provenance import heading_json
@@ -26,7 +26,7 @@ def fit_json(
     noise: Noise,
     fit: Fit,
     provenance: Json,
-    intervals: Mapping[str, Interval] | None = None,
+    intervals: Mapping[str, RefittedInterval] | None = None,
     seconds: Json | None = None,
 ) -> Json:
     """The result of `snakejax fit`."""
@@ -45,7 +45,7 @@ def fit_json(
     )
 
 
-def base_json(fit: Fit, intervals: Mapping[str, Interval] | None = None) -> Json:
+def base_json(fit: Fit, intervals: Mapping[str, RefittedInterval] | None = None) -> Json:
     """A fit as the base of a result."""
     parts = all_parameters_json(fit.model, fit.estimates, intervals)
     return {

@@ -17,7 +17,7 @@ from snakejax.dynamics.conditions import ByCondition
 from snakejax.dynamics.law import Law
 from snakejax.dynamics.model import Model
 from snakejax.estimation.goodness_of_fit import RunScore, Score
-from snakejax.estimation.uncertainty import Estimate, Interval
+from snakejax.estimation.uncertainty import Estimate, RefittedInterval
 
 Json = dict[str, Any]
 EXPRESSION = "expression"
@@ -46,7 +46,7 @@ def as_text(result: Any) -> str:
     return json.dumps(clean(result), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def estimate_json(estimate: Estimate, interval: Interval | None = None) -> Json:
+def estimate_json(estimate: Estimate, interval: RefittedInterval | None = None) -> Json:
     """One estimate; `interval`, where given, replaces value +- 1.96 sd."""
     return {
         "value": estimate.value,
@@ -67,7 +67,7 @@ def held_json(value: float, unit: str) -> Json:
 def all_parameters_json(
     model: Model,
     estimates: Mapping[str, Estimate] | None = None,
-    intervals: Mapping[str, Interval] | None = None,
+    intervals: Mapping[str, RefittedInterval] | None = None,
 ) -> dict[str, Json]:
     """The tyre and effect parameters of `model`, and all others that were estimated, by full name."""
     estimates, intervals, parts = estimates or {}, intervals or {}, {}

@@ -10,7 +10,7 @@ from snakejax.core.parameter import parameters
 from snakejax.dynamics.model import Model
 from snakejax.estimation.fit_record import Fit
 from snakejax.estimation.goodness_of_fit import RunScore, Score
-from snakejax.estimation.uncertainty import Estimate, Interval
+from snakejax.estimation.uncertainty import Estimate, RefittedInterval
 from snakejax.recording.run import Case, Noise, Run
 
 from ..as_json.provenance import constraint_kind, model_kind
@@ -19,7 +19,7 @@ from .errors import error_text, milli_text, times_noise_text
 from .tables import add_row, clipped, error, indented, interval_text, named, note, number, plain_table
 
 
-def fit_table(fit: Fit, intervals: Mapping[str, Interval] | None = None) -> Table:
+def fit_table(fit: Fit, intervals: Mapping[str, RefittedInterval] | None = None) -> Table:
     """Every estimate with its standard error, unit, 95% interval and a note; then the fixed parameters."""
     table = plain_table("parameter", "value", "+-", "unit", "95% interval", "note", right=("value", "+-"))
     known = parameters(fit.model)
@@ -106,7 +106,9 @@ def noise_line(noise: Noise) -> str:
     return f"noise of one sample {both} and {heading:.3g} mrad ({noise.source})"
 
 
-def fit_report(case: Case, noise: Noise, fit: Fit, intervals: Mapping[str, Interval] | None = None) -> RenderableType:
+def fit_report(
+    case: Case, noise: Noise, fit: Fit, intervals: Mapping[str, RefittedInterval] | None = None
+) -> RenderableType:
     """The report of `snakejax fit`."""
     model = fit.model
     parts: list[RenderableType] = [
