@@ -2,7 +2,7 @@
 more effects than a search on whole runs adds."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from snakejax.core.errors import FitError
 from snakejax.core.progress import Progress
@@ -15,7 +15,8 @@ from .exact_checks import bands_of
 from .explaining_by_law import by_exact_law
 from .explanation import Explanation
 from .inexact.assessment import Assessment
-from .inexact.explaining import assess_effects, explanation_of, predicts_heldout_runs, supports
+from .inexact.evidence import model_evidence
+from .inexact.explaining import assess_effects, explanation_of, find_effects, predicts_heldout_runs, supports
 from .inexact.steps import steps_of
 from .selection.acceptance import heldout_consistent
 from .selection.candidates import CandidateFit, CandidateSet
@@ -27,25 +28,41 @@ def with_all_effects_at_once(
     case: Case, noise: Noise, diagnosis: BaseDiagnosis, progress: Progress
 ) -> Explanation | None:
     """The explanation by effects that are chosen together, beside a random force, wandering noise and constants within
-    their priors.
+    their priors; or by a law in the place of that force, where with one there is only white noise.
 
-    None where a model with a few effects is exact: a search on whole runs finds those. Where one of them is a law, the
-    law is looked for in the missing force instead, and where the effects leave more than noise, unless all that they
-    leave is noise that wanders. None where a model of some of the effects cannot be simulated. None where a law is
-    lacking: its force is too large for a random one, errors grow faster than a random force lets them, or the effects
-    do not lower the error.
+    None where a model with a few effects is exact: a search on whole runs finds those. None where the effects leave
+    more than noise, unless all that they leave is noise that wanders, and where a model of some of the effects cannot
+    be simulated. None where a law is lacking: its force is too large for a random one, errors grow faster than a random
+    force lets them, or the effects do not lower the error.
     """
     candidate_set = diagnosis.switched[0] if diagnosis.switched else diagnosis.base.candidate_set
     if not supports(candidate_set):
         return None
+    base = diagnosis.base.step.effects
     try:
-        assessment = assess_effects(case, noise, candidate_set, diagnosis.base.step.effects, progress)
+        search, linear = find_effects(case, noise, candidate_set, base, progress)
     except FitError:
         return None
-    criteria, exact = candidate_set.criteria, assessment.evidence.exact
+    law_is_sought = model_evidence(search, linear).suggests_law
+    by_law = by_exact_law(case, noise, diagnosis, progress) if law_is_sought else None
+    if by_law is not None:
+        return by_law
+    try:
+        assessment = assess_effects(case, noise, candidate_set, base, search, linear)
+    except FitError:
+        return None
+    explanation = _by_effects(case, noise, diagnosis, assessment)
+    if law_is_sought or not _law_may_explain(assessment, explanation, candidate_set.candidates):
+        return explanation
+    return by_exact_law(case, noise, diagnosis, progress) or explanation
+
+
+def _by_effects(case: Case, noise: Noise, diagnosis: BaseDiagnosis, assessment: Assessment) -> Explanation | None:
+    """The explanation by the effects of `assessment`; None, see `with_all_effects_at_once`."""
+    candidate_set, exact = assessment.candidate_set, assessment.evidence.exact
+    criteria = candidate_set.criteria
     if exact and len(assessment.effects) <= criteria.most_effects_at_once:
-        has_law = any(effect not in candidate_set.candidates for effect in assessment.effects)
-        return by_exact_law(case, noise, diagnosis, progress) if has_law else None
+        return None
     if assessment.random_force_share > criteria.largest_random_force:
         return None
     if assessment.inside("train") < criteria.least_inside:
@@ -57,17 +74,24 @@ def with_all_effects_at_once(
     if not _lower_error(steps):
         return None
     if not exact:
-        explanation = explanation_of(case, noise, assessment, steps, predicts_heldout_runs(assessment, criteria))
-        train = explanation.final.train
-        if not assessment.evidence.may_lack_law or train.misfit <= largest_noise_misfit(train.samples):
-            return explanation
-        return by_exact_law(case, noise, diagnosis, progress) or explanation
+        return explanation_of(case, noise, assessment, steps, predicts_heldout_runs(assessment, criteria))
     fit_set, fit = _fitted_to_whole_runs(candidate_set, assessment)
     if not consistent_with_noise(fit.solution):
         return None
     heldout = fit_heldout_starts(fit_set.problem, fit.solution.values)
     explanation = explanation_of(case, noise, assessment, steps, heldout_consistent(fit_set, fit, heldout))
     return dataclasses.replace(explanation, bands=bands_of(steps[-1].fitted))
+
+
+def _law_may_explain(assessment: Assessment, explanation: Explanation | None, known: Collection[str]) -> bool:
+    """Whether a law may leave only noise where the `known` effects do not: the model is exact with one beside them, or,
+    without a random force and with white noise, the effects leave more."""
+    evidence = assessment.evidence
+    if explanation is None:
+        return evidence.exact and not set(assessment.effects) <= set(known)
+    train = explanation.final.train
+    inexact = evidence.has_force or evidence.noise_wanders
+    return not (evidence.exact or inexact) and train.misfit > largest_noise_misfit(train.samples)
 
 
 def _fitted_to_whole_runs(candidate_set: CandidateSet, assessment: Assessment) -> tuple[CandidateSet, CandidateFit]:

@@ -29,6 +29,7 @@ from snakejax.diagnosis.inexact.subsets import (
 from snakejax.diagnosis.selection.criteria import CRITERIA
 from snakejax.estimation.discrepancy.kalman import Discrepancy
 from snakejax.estimation.discrepancy.least_squares import Optimum, Prior
+from snakejax.estimation.discrepancy.strength import Scales
 
 EFFECTS = "abcdefgh"
 ALWAYS = 2
@@ -268,7 +269,25 @@ def test_only_an_exact_model_bounds_the_unknown_force_by_what_recordings_exclude
 
 
 @pytest.mark.parametrize(
-    ("force", "wandering", "may"), [(0.0, 0.0, True), (20.0, 0.0, True), (20.0, 1e4, True), (0.0, 1e4, False)]
+    ("force", "wandering", "wander_time", "suggests"),
+    [
+        (0.0, 0.0, 0.2, False),
+        (20.0, 0.0, 0.2, True),
+        (900.0, 90.0, 0.2, True),
+        (90.0, 900.0, 0.2, False),
+        (90.0, 900.0, 1.9, True),
+        (0.0, 900.0, 1.9, False),
+    ],
 )
-def test_no_law_is_missing_where_all_that_is_left_is_noise_that_wanders(force, wandering, may) -> None:
-    assert ModelEvidence(force, wandering, 0.0, CRITERIA.random_force_chi2).may_lack_law is may
+def test_noise_that_wanders_as_that_of_cameras_does_makes_no_law_of_a_small_force(
+    force: float, wandering: float, wander_time: float, suggests: bool
+) -> None:
+    scales = Scales(np.ones(3), np.ones(3))
+    drifting = scales.drifts(scales.first_guess()._replace(wander_time=wander_time))
+    of_model = ModelEvidence(force, wandering, 0.0, CRITERIA.random_force_chi2, drifting)
+    assert of_model.suggests_law is suggests
+
+
+def test_a_stated_time_constant_is_no_drift() -> None:
+    scales = Scales(np.ones(3), np.ones(3), wander_time=1.9)
+    assert not scales.drifts(scales.first_guess())

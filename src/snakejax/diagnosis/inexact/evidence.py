@@ -16,12 +16,13 @@ that at which the search begins."""
 
 class ModelEvidence(NamedTuple):
     """-2 log restricted likelihood more without each: a random `force`, noise that is `wandering`, and `constants`
-    other than stated (with their priors counted)."""
+    other than stated (with their priors counted). `drifting`: noise wanders as slowly as an estimate of it allows."""
 
     force: float
     wandering: float
     constants: float
     least: float
+    drifting: bool = False
 
     @property
     def has_force(self) -> bool:
@@ -29,17 +30,23 @@ class ModelEvidence(NamedTuple):
         return self.force > self.least
 
     @property
-    def may_lack_law(self) -> bool:
-        """Whether one law more may leave nothing but white noise: a force is missing, or no noise wanders.
+    def noise_wanders(self) -> bool:
+        """Whether noise is not white."""
+        return self.wandering > self.least
 
-        Noise is found to wander beside a random force, which takes the place of any law.
+    @property
+    def suggests_law(self) -> bool:
+        """Whether a random force stands in for a law, with which there may be nothing but white noise.
+
+        What the force cannot follow of a law seems to be noise that wanders. It matters less than the force does, or
+        drifts on and on, as cameras do not.
         """
-        return self.has_force or self.wandering <= self.least
+        return self.has_force and (self.drifting or self.force > self.wandering)
 
     @property
     def exact(self) -> bool:
         """Whether the model with the stated constants and white noise is all that there is."""
-        return not (self.has_force or self.wandering > self.least or self.constants > self.least)
+        return not (self.has_force or self.noise_wanders or self.constants > self.least)
 
 
 def model_evidence(search: Search, linear: Linear) -> ModelEvidence:
@@ -57,6 +64,7 @@ def model_evidence(search: Search, linear: Linear) -> ModelEvidence:
         restricted_likelihood(linear.data, white_noise, free, prior) - deviance,
         _gain_of_free_constants(search, linear, linear.under(without_force).gram),
         search.criteria.random_force_chi2,
+        search.scales.drifts(point.discrepancy),
     )
 
 

@@ -21,7 +21,7 @@ from .evidence import model_evidence
 from .laws import LawChoice, choose_law
 from .left_out import with_predicting_effects
 from .revision import search_effects
-from .search import Search
+from .search import Linear, Search
 from .steps import calibrated
 
 
@@ -32,22 +32,30 @@ def supports(candidate_set: CandidateSet) -> bool:
     return model.constraint.slips and model.constraint.frees_wheels and len(model.start((zero, zero, zero))[0]) == BODY
 
 
-def assess_effects(
+def find_effects(
     case: Case, noise: Noise, candidate_set: CandidateSet, base: Sequence[str], progress: Progress
-) -> Assessment:
-    """Which effects `candidate_set` needs beside those of the `base`, with a random force and constants within priors;
-    where there is a random force, a law among them.
+) -> tuple[Search, Linear]:
+    """Which effects `candidate_set` needs beside those of the `base`, with a random force and constants within priors:
+    the search, and the problem linearised at its end.
 
     **Raises:** `FitError` where a simulation is not finite.
     """
     model = candidate_set.problem.model
-    train = case.having("train")
     names = movable_parameters(model, candidate_set.tyre, candidate_set.candidates, base)
-    segments = Segments(model, train, names)
+    segments = Segments(model, case.having("train"), names)
     scales = scales_of(segments, np.asarray(noise.channels), noise.correlation)
     priors = candidate_model(model, candidate_set.tyre, candidate_set.candidates, base, scales, case.constant_sd)
     search = Search(segments, priors, scales, candidate_set.criteria, progress)
-    linear = with_predicting_effects(search, search_effects(search))
+    return search, with_predicting_effects(search, search_effects(search))
+
+
+def assess_effects(
+    case: Case, noise: Noise, candidate_set: CandidateSet, base: Sequence[str], search: Search, linear: Linear
+) -> Assessment:
+    """What is reported about the effects at `linear`; where there is a random force, with a law among them.
+
+    **Raises:** `FitError` where a simulation is not finite.
+    """
     choice = LawChoice()
     if model_evidence(search, linear).has_force:
         choice = choose_law(case, noise, candidate_set, search, linear, base)

@@ -38,9 +38,10 @@ COLUMNS = 8
 """The number of columns of a compiled program is a multiple of this."""
 SLOWEST_GAIN = 1e-9
 """The search ends where an iteration lowers R by less than this share."""
-NEARLY_WHITE, NO_WHITE = 1.5, 0.1
-"""Noise that wanders within the first factor of the fastest time constant counts as white; white noise below the second
-share of it, 1% of its power, as none."""
+NEAR_LIMIT = 1.5
+"""Noise whose time constant is within this factor of the fastest one counts as white, of the slowest one as drift."""
+NO_WHITE = 0.1
+"""White noise below this share of the wandering one, 1% of its power, counts as none."""
 RESTARTED = 25
 """Iterations of a second search, at least."""
 
@@ -68,6 +69,10 @@ class Scales(NamedTuple):
             wander_time = WANDER_TIME[k] if self.wander_time is None else self.wander_time
             ends.append(np.log([*noise, *noise, wander_time, *force, FORCE_TIME[k]]))
         return ends[0], ends[1]
+
+    def drifts(self, discrepancy: Discrepancy) -> bool:
+        """Whether noise wanders as slowly as its estimate allows, where no time constant is stated."""
+        return self.wander_time is None and discrepancy.wander_time * NEAR_LIMIT > WANDER_TIME[1]
 
     def first_guess(self) -> Discrepancy:
         """White and wandering noise as large as the estimate, and a tenth of the force that moves the vehicle."""
@@ -159,7 +164,7 @@ def estimate_discrepancy(
     """
     least = _minimum(data, start, free, prior, scales, most)
     of = least[0]
-    is_white = of.wander_time < NEARLY_WHITE * WANDER_TIME[0]
+    is_white = of.wander_time < NEAR_LIMIT * WANDER_TIME[0]
     if scales.wander_time is None and is_white and (of.white < NO_WHITE * of.wander).any():
         guess = scales.first_guess()
         both = guess._replace(white=of.wander, wander=of.wander, force=0.1 * of.force)
