@@ -3,6 +3,7 @@ more effects than a search on whole runs adds."""
 
 import dataclasses
 from collections.abc import Collection, Sequence
+from typing import NamedTuple
 
 from snakejax.core.errors import FitError
 from snakejax.core.progress import Progress
@@ -15,26 +16,42 @@ from .exact_checks import bands_of
 from .explaining_by_law import by_exact_law
 from .explanation import Explanation
 from .inexact.assessment import Assessment
-from .inexact.evidence import model_evidence
+from .inexact.evidence import ModelEvidence, model_evidence
 from .inexact.explaining import assess_effects, explanation_of, find_effects, predicts_heldout_runs, supports
+from .inexact.search import Linear, Search
 from .inexact.steps import steps_of
 from .selection.acceptance import heldout_consistent
+from .selection.beam_search import CandidateSubset
 from .selection.candidates import CandidateFit, CandidateSet
 from .selection.refit import refit
 from .selection.steps import SelectionStep
 
 
-def with_all_effects_at_once(
-    case: Case, noise: Noise, diagnosis: BaseDiagnosis, progress: Progress
-) -> Explanation | None:
-    """The explanation by effects that are chosen together, beside a random force, wandering noise and constants within
-    their priors; or by a law in the place of that force, where with one there is only white noise.
+class EffectsAtOnce(NamedTuple):
+    """Effects of `candidate_set` that were chosen together, beside a random force, wandering noise and constants within
+    their priors: the `search`, the problem linearised at its end, and the `evidence` there."""
 
-    None where a model with a few effects is exact: a search on whole runs finds those. None where the effects leave
-    more than noise, unless all that they leave is noise that wanders, and where a model of some of the effects cannot
-    be simulated. None where a law is lacking: its force is too large for a random one, errors grow faster than a random
-    force lets them, or the effects do not lower the error.
-    """
+    candidate_set: CandidateSet
+    base: tuple[str, ...]
+    search: Search
+    linear: Linear
+    evidence: ModelEvidence
+
+    @property
+    def few(self) -> CandidateSubset | None:
+        """A few effects with which the model is exact, with the values that segments give them; None if it is not, or
+        there are more of them."""
+        effects = self.linear.point.effects
+        if not self.evidence.exact or len(effects) > self.candidate_set.criteria.most_effects_at_once:
+            return None
+        values = dict(zip(self.search.model.names, self.linear.point.values, strict=True))
+        return CandidateSubset((*self.base, *effects), self.candidate_set.problem.values() | values)
+
+
+def choose_effects_at_once(
+    case: Case, noise: Noise, diagnosis: BaseDiagnosis, progress: Progress
+) -> EffectsAtOnce | None:
+    """The effects that the train runs need together, under the freer structure; None where that cannot be simulated."""
     candidate_set = diagnosis.switched[0] if diagnosis.switched else diagnosis.base.candidate_set
     if not supports(candidate_set):
         return None
@@ -43,10 +60,24 @@ def with_all_effects_at_once(
         search, linear = find_effects(case, noise, candidate_set, base, progress)
     except FitError:
         return None
-    law_is_sought = model_evidence(search, linear).suggests_law
+    return EffectsAtOnce(candidate_set, base, search, linear, model_evidence(search, linear))
+
+
+def explain_inexact(
+    case: Case, noise: Noise, diagnosis: BaseDiagnosis, at_once: EffectsAtOnce, progress: Progress
+) -> Explanation | None:
+    """The explanation by the effects of `at_once`; or by a law in the place of their random force, where with one there
+    is only white noise.
+
+    None where the effects leave more than noise, unless all that they leave is noise that wanders, and where a model of
+    some of them cannot be simulated. None where a law is lacking: its force is too large for a random one, errors grow
+    faster than a random force lets them, or the effects do not lower the error.
+    """
+    law_is_sought = at_once.evidence.suggests_law
     by_law = by_exact_law(case, noise, diagnosis, progress) if law_is_sought else None
     if by_law is not None:
         return by_law
+    candidate_set, base, search, linear, _ = at_once
     try:
         assessment = assess_effects(case, noise, candidate_set, base, search, linear)
     except FitError:
@@ -58,7 +89,8 @@ def with_all_effects_at_once(
 
 
 def _by_effects(case: Case, noise: Noise, diagnosis: BaseDiagnosis, assessment: Assessment) -> Explanation | None:
-    """The explanation by the effects of `assessment`; None, see `with_all_effects_at_once`."""
+    """The explanation by the effects of `assessment`; None, see `explain_inexact`, and where a law of the random force
+    makes the model exact, which then needs no such force."""
     candidate_set, exact = assessment.candidate_set, assessment.evidence.exact
     criteria = candidate_set.criteria
     if exact and len(assessment.effects) <= criteria.most_effects_at_once:

@@ -12,6 +12,7 @@ from snakejax.core.tabular import Tabular
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.ports import Effect
+from snakejax.estimation.goodness_of_fit import consistent_with_noise
 from snakejax.estimation.initial_model import starting_model
 from snakejax.recording.run import Case, Noise
 
@@ -118,7 +119,11 @@ def diagnose_base(
         if not other:
             beside.submit(meanwhile, candidate_set)
         step = base_fit(candidate_set, with_, progress)
-        ranking = tuple(rank(candidate_set, step, progress=progress))
+
+        def explained() -> bool:
+            return any(consistent_with_noise(fit.result()[1].solution) for fit in other)
+
+        ranking = tuple(rank(candidate_set, step, explained=explained, progress=progress))
         if other:
             progress(ProgressEvent(Phase.REFITTING_OTHER_STRUCTURE, f"refitting with {LATERAL_SLIP_SWITCH}"))
         switched = other[0].result() if other else None

@@ -15,7 +15,6 @@ from snakejax.estimation.problem import Problem
 from .explanation import RunBand, run_bands
 from .odd_runs import OddRun, odd_runs, run_grams, run_that_alone_shows
 from .selection.candidates import CandidateFit, CandidateSet
-from .selection.refit import CRAWL
 from .selection.score_test import projected
 from .selection.screening import window_sensitivities
 from .selection.steps import SelectionStep
@@ -23,6 +22,8 @@ from .selection.working_step import WorkingStep, selection_step
 
 STATED_WELL = 3.5
 """A constant is not off by more than so many standard deviations of what is known of it: one in two thousand."""
+HOPELESS = 0.02
+"""Constants that are to explain all do not, where a step of their fit lowers a large misfit by less than this share."""
 
 
 def bands_of(fitted: FittedModel) -> tuple[RunBand, ...]:
@@ -126,7 +127,7 @@ def constants_explain(candidate_set: CandidateSet, step: CandidateFit, stated: M
     freed, sds = _with_free_constants(candidate_set, step.effects, stated)
     known, names = parameters(freed.model), freed.names
     values = {name: value for name, value in step.solution.values.items() if name in names}
-    solution = freed.fit(values, names, candidate_set.train, step.solution.start, crawl=CRAWL)
+    solution = freed.fit(values, names, candidate_set.train, step.solution.start, crawl=HOPELESS)
     if not consistent_with_noise(solution):
         return False
     moved = {name: abs(np.log(solution.values[name] / float(known[name].value))) for name in sds}

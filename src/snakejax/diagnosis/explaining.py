@@ -24,7 +24,7 @@ from snakejax.estimation.joint_logs.log_noise import is_noisy
 from snakejax.estimation.problem import Solution
 from snakejax.recording.run import Case, Noise
 
-from .all_effects_at_once import with_all_effects_at_once
+from .all_effects_at_once import choose_effects_at_once, explain_inexact
 from .diagnosing import BaseDiagnosis, DiagnosisOptions, diagnose_base, start_of
 from .exact_checks import compile_later_programs, constants_explain, odd_run_rather_than_effect
 from .exact_explanation import exact_explanation, leaves_only_noise
@@ -32,6 +32,7 @@ from .explaining_by_law import by_exact_law_beside, conclude_with_law, latent_fo
 from .explanation import Explanation
 from .law.adding import predicting_steps
 from .selection.acceptance import accept_structure
+from .selection.beam_search import CandidateSubset
 from .selection.candidates import CandidateFit, CandidateSet
 from .selection.ranking import rank, significant
 from .selection.steps import SelectionStep
@@ -80,13 +81,11 @@ def explain(
             break
         case = improved
         diagnosis = diagnose_base(case, noise, library, **question)
-    if not _one_effect_explains(diagnosis, case):
-        explanation = with_all_effects_at_once(case, noise, diagnosis, progress)
-        if explanation is not None:
-            for step in explanation.steps if logged else explanation.steps[1:]:
-                show(step)
-            return explanation
-    working_steps = [diagnosis.base, *_steps_beyond_base(diagnosis, progress, show_now)]
+    explanation, working_steps = _explanation_or_steps(case, noise, diagnosis, progress, show_now)
+    if explanation is not None:
+        for step in explanation.steps if logged else explanation.steps[1:]:
+            show(step)
+        return explanation
     for _ in range(diagnosis.base.candidate_set.criteria.log_clock_rounds if logged else 0):
         last = working_steps[-1]
         improved = _with_logs_of(case, last.candidate_set, last.step.solution, progress)
@@ -100,12 +99,38 @@ def explain(
     return _with_clock_errors(_conclude(case, noise, diagnosis, working_steps, progress), working_steps[-1], progress)
 
 
+def _explanation_or_steps(
+    case: Case, noise: Noise, diagnosis: BaseDiagnosis, progress: Progress, show: Show
+) -> tuple[Explanation | None, list[WorkingStep]]:
+    """The explanation where the model is not exact, or by a law; else None, and all steps of a search on whole runs.
+
+    A law can follow the motion that two known effects cause. Where one is suspected and effects were chosen under
+    another structure than that of the base, those under its own are therefore tried first.
+    """
+    base = diagnosis.base
+    explains = _one_effect_explains(diagnosis, case)
+    at_once = None if explains else choose_effects_at_once(case, noise, diagnosis, progress)
+    if at_once is None or at_once.few is not None:
+        few = None if at_once is None else at_once.few
+        return None, [base, *_steps_beyond_base(diagnosis, few, progress, show)]
+    try_known = at_once.evidence.suggests_law and diagnosis.switched is not None
+    steps = _steps_beyond_base(diagnosis, None, progress, no_progress) if try_known else []
+    if not (steps and leaves_only_noise(steps[-1])):
+        explanation = explain_inexact(case, noise, diagnosis, at_once, progress)
+        if explanation is not None:
+            return explanation, []
+        steps = steps or _steps_beyond_base(diagnosis, None, progress, no_progress)
+    for step in steps:
+        show(step.record)
+    return None, [base, *steps]
+
+
 def _select(
     case: Case, noise: Noise, library: Mapping[str, Effect], question: DiagnosisOptions
 ) -> tuple[BaseDiagnosis, list[WorkingStep]]:
     """The diagnosis, and all steps from the base on, with the joint logs on the clocks they have; nothing is shown."""
     diagnosis = diagnose_base(case, noise, library, **question)
-    steps = _steps_beyond_base(diagnosis, question.get("progress", no_progress), no_progress)
+    steps = _steps_beyond_base(diagnosis, None, question.get("progress", no_progress), no_progress)
     return diagnosis, [diagnosis.base, *steps]
 
 
@@ -183,22 +208,27 @@ def _with_clock_errors(explanation: Explanation, last: WorkingStep, progress: Pr
     return dataclasses.replace(explanation, steps=(*explanation.steps[:-1], final), case=case)
 
 
-def _steps_beyond_base(diagnosis: BaseDiagnosis, progress: Progress, show: Show) -> list[WorkingStep]:
-    """The steps after the base, under the structure with which the recordings are explained better."""
+def _steps_beyond_base(
+    diagnosis: BaseDiagnosis, few: CandidateSubset | None, progress: Progress, show: Show
+) -> list[WorkingStep]:
+    """The steps after the base, under the structure with which the recordings are explained better.
+
+    `few`: effects that may explain them, under the other structure where there is one.
+    """
     base = diagnosis.base
     candidate_set, step, ranking = base.candidate_set, base.step, base.ranking
     if consistent_with_noise(step.solution) and not significant(ranking, candidate_set.criteria):
         return []
     if diagnosis.switched is None:
-        return stepwise_selection(candidate_set, step, ranking, [], progress, show)
+        return stepwise_selection(candidate_set, step, ranking, [], progress, show, few)
     relaxed = diagnosis.switched[1]
     best_refit = min((r.refit_misfit for r in ranking if r.refit is not None), default=np.inf)
     if relaxed.solution.misfit <= best_refit and accept_structure(step, relaxed, candidate_set.criteria):
-        return _relaxed_steps(*diagnosis.switched, progress, show)
+        return _relaxed_steps(*diagnosis.switched, few, progress, show)
     steps = stepwise_selection(candidate_set, step, ranking, [], progress, no_progress)
     if not (steps and consistent_with_noise(steps[-1].step.solution)):
         # This structure does not explain by itself: select under the other one too, and keep what gets further.
-        others = _relaxed_steps(*diagnosis.switched, progress, no_progress)
+        others = _relaxed_steps(*diagnosis.switched, few, progress, no_progress)
         reached = steps[-1].step.solution.misfit if steps else step.solution.misfit
         steps = others if others[-1].step.solution.misfit < reached else steps
     for one in steps:
@@ -207,13 +237,13 @@ def _steps_beyond_base(diagnosis: BaseDiagnosis, progress: Progress, show: Show)
 
 
 def _relaxed_steps(
-    candidate_set: CandidateSet, step: CandidateFit, progress: Progress, show: Show
+    candidate_set: CandidateSet, step: CandidateFit, few: CandidateSubset | None, progress: Progress, show: Show
 ) -> list[WorkingStep]:
-    """The change of structure, to the fit `step` under it, and the steps after it."""
+    """The change of structure, to the fit `step` under it, and the steps after it; `few`, see `_steps_beyond_base`."""
     ranking = rank(candidate_set, step, progress=progress)
     first = selection_step(candidate_set, "added", LATERAL_SLIP_SWITCH, step, ranking)
     show(first.record)
-    return stepwise_selection(candidate_set, step, first.ranking, [first], progress, show)
+    return stepwise_selection(candidate_set, step, first.ranking, [first], progress, show, few)
 
 
 def _conclude(

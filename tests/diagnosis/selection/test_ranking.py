@@ -75,7 +75,7 @@ def refitted(monkeypatch) -> list[str]:
     tried: list[str] = []
     misfits = {"a": 1.3, "b": 1.8, "c": 1.95, "d": 1.2, "e": 1.5, "f": 1.6}
     p_values = {"d": 0.02}
-    screened = [ScreenedCandidate(score(e, p_values.get(e, 1e-9)), {}, m) for e, m in misfits.items()]
+    screened = [ScreenedCandidate(score(e, p_values.get(e, 1e-9)), {}, m, 10_000) for e, m in misfits.items()]
 
     def refit(bench, effects, values, *, near):
         del values, near
@@ -113,3 +113,35 @@ def test_a_candidate_far_behind_the_best_on_the_windows_is_not_refitted(refitted
     tight.criteria = CRITERIA._replace(candidate_excess_ratio=1.5)
     rank(tight, step)
     assert refitted == ["a"]
+
+
+@pytest.mark.parametrize(
+    ("misfits", "explained", "tried"),
+    [
+        # chi^2 of 10 000 samples: b is 5 above a, c is 20 above it.
+        ({"a": 1.0, "b": 1.0005, "c": 1.002}, False, ["a", "b"]),
+        ({"a": 2.0, "b": 2.0005, "c": 2.002}, False, ["a", "b", "c"]),
+        ({"a": 2.0, "b": 2.0005, "c": 2.002}, True, []),
+        ({"a": 1.0, "b": 1.0005, "c": 1.002}, True, ["a", "b"]),
+    ],
+)
+def test_what_windows_exclude_is_not_refitted_where_a_model_leaves_only_noise(
+    monkeypatch: pytest.MonkeyPatch, misfits: dict[str, float], explained: bool, tried: list[str]
+) -> None:
+    done: list[str] = []
+
+    def refit(bench, effects, values, *, near):
+        done.append(effects[-1])
+        return SOLUTION._replace(misfit=misfits[effects[-1]], samples=10_000)
+
+    start = np.zeros((1, 3))
+    screened = [ScreenedCandidate(score(effect), {}, misfit, 10_000, start) for effect, misfit in misfits.items()]
+    monkeypatch.setattr(module, "screen_candidates", lambda *_: screened)
+    monkeypatch.setattr(module, "refit", refit)
+    monkeypatch.setattr(module, "no_worse", lambda bench, step, effects, solution: solution)
+    monkeypatch.setattr(module, "estimates_of", lambda *_: {})
+    problem = linear_problem({"D": 3.0})
+    step = problem.fit(())
+    step = step._replace(solution=step.solution._replace(misfit=4.0, samples=10_000))
+    rank(problem.candidate_set, step, explained=lambda: explained)
+    assert sorted(done) == tried

@@ -37,6 +37,14 @@ def test_a_twin_is_confusable_and_fits_whole_runs_as_well(own, other, twins) -> 
     assert indistinguishable(added(own, other), "com_offset") == twins
 
 
+@pytest.mark.parametrize(("own", "other", "twins"), [(500.0, 505.0, ("marker_offset",)), (500.0, 511.0, ())])
+def test_windows_tell_from_a_twin_that_was_not_refitted_for_them(own, other, twins) -> None:
+    first, *rest = added(0.997, None)
+    rows = [dataclasses.replace(row, windows_chi2=chi2) for row, chi2 in zip(first.ranking, (own, other), strict=False)]
+    steps = (dataclasses.replace(first, ranking=tuple(rows)), *rest)
+    assert indistinguishable(steps, "com_offset") == twins
+
+
 def test_effects_that_both_act_are_no_twins() -> None:
     steps = added(0.997, None, later=("yaw_bias", "marker_offset"))
     assert indistinguishable(steps[:3], "com_offset") == ("marker_offset",)

@@ -10,7 +10,7 @@ from scipy import stats
 
 from snakejax.diagnosis.selection import beam_search as beam
 from snakejax.diagnosis.selection import stepwise
-from snakejax.diagnosis.selection.beam_search import beam_search
+from snakejax.diagnosis.selection.beam_search import CandidateSubset, beam_search
 from snakejax.diagnosis.selection.ranking import RankedCandidate
 from snakejax.diagnosis.selection.score_test import ScoreTest
 from snakejax.diagnosis.selection.screening import ScreenedCandidate
@@ -28,7 +28,7 @@ def screened(problem: LinearProblem, effects=()) -> list[ScreenedCandidate]:
             p_value = 4 * float(stats.chi2.sf(fall, 1))
             values = {part: with_it.values[part] for part in parts}
             score = ScoreTest(effect, values, values, fall, fall, p_value, values, none, none)
-            found.append(ScreenedCandidate(score, with_it.values, with_it.misfit))
+            found.append(ScreenedCandidate(score, with_it.values, with_it.misfit, with_it.samples))
     return sorted(found, key=lambda s: s.misfit)
 
 
@@ -149,3 +149,35 @@ def test_no_more_effects_are_added_than_the_criteria_allow(steps, monkeypatch):
 
     monkeypatch.setattr(LinearProblem, "candidate_set", property(allowed))
     assert steps(problem) == [("added", "a")]
+
+
+@pytest.mark.parametrize(
+    ("few", "searched", "added"),
+    [(("d", "a"), False, ["a", "d"]), (("a", "b"), True, ["a", "d"]), (("a", "unknown"), True, ["a", "d"])],
+)
+def test_windows_are_searched_only_where_the_effects_at_hand_leave_more_than_noise(
+    monkeypatch: pytest.MonkeyPatch, few: tuple[str, ...], searched: bool, added: list[str]
+) -> None:
+    """The effects at hand are added in the order in which each lowers the misfit."""
+    problem = linear_problem({"D": 3.0, "a": 4.0, "d": 3.0})
+    base, beams = problem.fit(()), []
+
+    def beam(candidate_set, step, first, most, progress):
+        beams.append(most)
+        return [CandidateSubset(("a", "d"), {})]
+
+    def refit(candidate_set, effects, values, near=True):
+        return problem.fit(tuple(effects)).solution
+
+    monkeypatch.setattr(stepwise, "beam_search", beam)
+    monkeypatch.setattr(stepwise, "refit", refit)
+    monkeypatch.setattr(stepwise, "continue_to_convergence", lambda problem, solution, train: solution)
+    monkeypatch.setattr(stepwise, "accept_addition", lambda *_: True)
+    monkeypatch.setattr(stepwise, "no_worse", lambda candidate_set, before, effects, solution: solution)
+    monkeypatch.setattr(stepwise, "rank", lambda *_, progress: [])
+    ranking = [RankedCandidate(s.score.effect, s.score, s.misfit, None, (), s) for s in screened(problem)]
+    path, hopeless = stepwise.add_subset(
+        problem.candidate_set, base, ranking, lambda _: None, CandidateSubset(few, base.solution.values)
+    )
+    assert bool(beams) is searched
+    assert [step.name for step in path] == added and not hopeless

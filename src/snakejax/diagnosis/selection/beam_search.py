@@ -14,12 +14,13 @@ from .screening import ScreenedCandidate, window_sensitivities
 
 
 class CandidateSubset(NamedTuple):
-    """A set of effects that together explain the windows, with the values found there and the misfit they leave."""
+    """A set of effects that together explain the windows, with the values found there and the misfit they leave, that
+    of noise unless stated."""
 
     effects: tuple[str, ...]
     values: dict[str, float]
-    misfit: float
-    start: np.ndarray | None
+    misfit: float = 1.0
+    start: np.ndarray | None = None
 
 
 def beam_search(

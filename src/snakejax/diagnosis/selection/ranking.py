@@ -1,6 +1,6 @@
 """The ranking: candidates scored on short windows, the best of them refitted on whole runs."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -40,15 +40,25 @@ class RankedCandidate(NamedTuple):
         """Train misfit of the refit on whole runs."""
         return None if self.refit is None else self.refit.misfit
 
+    @property
+    def windows_chi2(self) -> float | None:
+        """chi^2 of windows to which the candidate was fitted; None where it was scored alone."""
+        return self.prospect.chi2 if self.prospect is not None and self.prospect.is_fitted else None
+
 
 def rank(
     candidate_set: CandidateSet,
     step: CandidateFit,
     *,
     refitted: int | None = None,
+    explained: Callable[[], bool] = lambda: False,
     progress: Progress = no_progress,
 ) -> list[RankedCandidate]:
-    """All candidates beside `step`: scored, the best `refitted` (`candidates_refitted`) also refitted on whole runs."""
+    """All candidates beside `step`: scored, the best `refitted` (`candidates_refitted`) also refitted on whole runs.
+
+    Not refitted is what can no longer be the explanation: where a model leaves only noise of whole runs, the best
+    candidate or one of another structure (`explained`), a candidate that windows distinguish from it.
+    """
     criteria = candidate_set.criteria
     most = criteria.candidates_refitted if refitted is None else refitted
     progress(ProgressEvent(Phase.SCORE_TESTS))
@@ -61,17 +71,7 @@ def rank(
     shortlist = sorted((p for p in sure if p.misfit - 1 < most_excess), key=lambda p: p.misfit)[:most]
     progress(ProgressEvent(Phase.REFITTING_CANDIDATES, f"refitting {len(shortlist)} candidates on whole runs"))
 
-    def again(candidate: ScreenedCandidate) -> Solution:
-        effects = [*step.effects, candidate.score.effect]
-        return no_worse(
-            candidate_set,
-            step,
-            effects,
-            refit(candidate_set, effects, candidate.values, near=candidate.misfit < criteria.close_windows_misfit),
-        )
-
-    with ContextThreads(WORKERS) as pool:
-        refits = dict(zip([p.score.effect for p in shortlist], pool.map(again, shortlist), strict=True))
+    refits = _refits(candidate_set, step, shortlist, explained)
 
     def ranked(p: ScreenedCandidate) -> RankedCandidate:
         effect, fit = p.score.effect, refits.get(p.score.effect)
@@ -85,6 +85,34 @@ def rank(
         )
 
     return sorted(map(ranked, screened), key=_order)
+
+
+def _refits(
+    candidate_set: CandidateSet,
+    step: CandidateFit,
+    shortlist: Sequence[ScreenedCandidate],
+    explained: Callable[[], bool],
+) -> dict[str, Solution]:
+    """The fits to whole runs of those in `shortlist` that may be the explanation, by effect; see `rank`."""
+    criteria = candidate_set.criteria
+
+    def again(candidate: ScreenedCandidate) -> Solution:
+        effects, near = [*step.effects, candidate.score.effect], candidate.misfit < criteria.close_windows_misfit
+        solution = refit(candidate_set, effects, candidate.values, near=near)
+        return no_worse(candidate_set, step, effects, solution)
+
+    refits: dict[str, Solution] = {}
+    if shortlist and shortlist[0].leaves_only_noise:
+        first, *others = shortlist
+        refits[first.score.effect] = again(first)
+        if consistent_with_noise(refits[first.score.effect]):
+            others = [c for c in others if not c.is_fitted or c.chi2 - first.chi2 < criteria.distinct_chi2]
+    else:
+        others = list(shortlist)
+        if others and explained():
+            others = [c for c in others if c.leaves_only_noise]
+    with ContextThreads(WORKERS) as pool:
+        return refits | dict(zip([c.score.effect for c in others], pool.map(again, others), strict=True))
 
 
 def _order(ranked: RankedCandidate) -> tuple[int, float]:

@@ -9,6 +9,7 @@ from scipy import stats
 from snakejax.core.parallel import ContextThreads
 from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
 from snakejax.estimation.block_linearisation import linearise_runs
+from snakejax.estimation.goodness_of_fit import largest_noise_misfit
 from snakejax.estimation.multiple_shooting import WindowSolution
 from snakejax.estimation.problem import DEPENDENT
 from snakejax.estimation.sensitivity import Sensitivities
@@ -22,15 +23,31 @@ class ScreenedCandidate(NamedTuple):
     """A candidate as its score sees it: where to start its refit, and the misfit to expect once it is in.
 
     All of it but the correction of the p-value for their number is a matter of the recordings, the base and this
-    candidate: which others there are changes nothing. `start`: where the windows start with it, if they have settled.
-    `without`: the misfit without it, of what `misfit` is of.
+    candidate: which others there are changes nothing. `dof`: the degrees of freedom of what `misfit` is of. `start`:
+    where the windows start with it, if they have settled. `without`: the misfit without it.
     """
 
     score: ScoreTest
     values: dict[str, float]
     misfit: float
+    dof: int
     start: np.ndarray | None = None
     without: float | None = None
+
+    @property
+    def is_fitted(self) -> bool:
+        """Whether it was fitted to windows, and not scored alone."""
+        return self.start is not None
+
+    @property
+    def chi2(self) -> float:
+        """chi^2 with it."""
+        return self.misfit * self.dof
+
+    @property
+    def leaves_only_noise(self) -> bool:
+        """Whether `misfit` is consistent with noise."""
+        return self.misfit <= largest_noise_misfit(self.dof)
 
 
 def window_sensitivities(
@@ -63,7 +80,7 @@ def screen_candidates(
     sensitivities = window_sensitivities(candidate_set, values, start, not near)
     scores, chi2, dof = tested(sensitivities, fitted, remaining, candidate_set.probes(), candidate_set.criteria)
     screened = [
-        ScreenedCandidate(s, {**values, **s.values}, max(chi2 - s.reduction, 0.0) / dof, without=chi2 / dof)
+        ScreenedCandidate(s, {**values, **s.values}, max(chi2 - s.reduction, 0.0) / dof, dof, without=chi2 / dof)
         for s in scores
     ]
     if near:
@@ -121,7 +138,7 @@ def _refit_on_windows(
         scored = candidate.score._replace(values={n: best.values[n] for n in parts}, sd=sd)
         if effect in without_slope:
             scored = _surer(scored, base.misfit * base.dof - best.cost, misfit, len(screened), criteria)
-        return ScreenedCandidate(scored, best.values, misfit, best.start, base.misfit)
+        return ScreenedCandidate(scored, best.values, misfit, base.dof, best.start, base.misfit)
 
     with ContextThreads(WORKERS) as pool:
         refitted = sorted(pool.map(settle, chosen), key=lambda c: c.misfit)

@@ -22,7 +22,8 @@ class CandidateScore:
     """One candidate effect, added to the model of a step: its test, and its refit if there was one.
 
     `p_value`: corrected for the number of candidates; `statistic`: that of the test. `predicted_misfit`: misfit by the
-    linear model, of whole runs or of short windows; `misfit_without`: the same without the candidate. `estimate`:
+    linear model, of whole runs or of short windows; `misfit_without`: the same without the candidate. `windows_chi2`:
+    chi^2 of the windows to which it was fitted, None where it was scored alone. `estimate`:
     expected values of its parameters by their short names; `refit_estimate`: those of the refit; `detectable`: the
     smallest values that these runs would show. `confusable_with`: the candidates that these runs cannot distinguish
     from it. `failed`: the refit ended with a larger misfit than the model without the effect, so it means nothing.
@@ -44,6 +45,7 @@ class CandidateScore:
     converged: bool | None = None
     of_measurement: bool = False
     misfit_without: float | None = None
+    windows_chi2: float | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -125,8 +127,8 @@ class SelectionStep(Tabular):
 def indistinguishable(steps: Sequence[SelectionStep], effect: str) -> tuple[str, ...]:
     """The candidates that explain the runs nearly as well as `effect`, by the ranking beside which it was added.
 
-    Those that are confusable with it, unless both were refitted on whole runs and chi^2 differs there by more than
-    `distinct_chi2`. Effects of the last step are none: both act.
+    Those that are confusable with it, unless chi^2 differs by more than `distinct_chi2`: of whole runs where both were
+    refitted, else of windows to which both were fitted. Effects of the last step are none: both act.
     """
     pairs = [*itertools.pairwise(steps)]
     before = next((b for b, after in reversed(pairs) if (after.change, after.name) == ("added", effect)), None)
@@ -135,10 +137,14 @@ def indistinguishable(steps: Sequence[SelectionStep], effect: str) -> tuple[str,
     rows = {row.effect: row for row in before.ranking}
 
     def distinct(other: str) -> bool:
-        own, others = rows[effect].refit_misfit, rows[other].refit_misfit
-        if own is None or others is None:
+        own, others = rows[effect], rows[other]
+        if own.refit_misfit is not None and others.refit_misfit is not None:
+            difference = (others.refit_misfit - own.refit_misfit) * before.train.samples
+        elif own.windows_chi2 is not None and others.windows_chi2 is not None:
+            difference = others.windows_chi2 - own.windows_chi2
+        else:
             return False
-        return abs(others - own) * before.train.samples > before.criteria.distinct_chi2
+        return abs(difference) > before.criteria.distinct_chi2
 
     twins = rows[effect].confusable_with if effect in rows else ()
     return tuple(name for name in twins if name in rows and name not in steps[-1].effects and not distinct(name))

@@ -36,11 +36,13 @@ def stepwise_selection(
     before: Sequence[WorkingStep],
     progress: Progress,
     show: Show,
+    few: CandidateSubset | None = None,
 ) -> list[WorkingStep]:
     """Forward selection with backward elimination: add what helps most, one effect after the other, then try to do
     without each. Returns the steps `before` this selection and its own.
 
-    Far from the recordings a set of effects is searched first (`add_subset`).
+    Far from the recordings a set of effects is searched first (`add_subset`), unless the effects of `few` leave only
+    noise of whole runs.
     """
     steps = list(before)
 
@@ -49,7 +51,7 @@ def stepwise_selection(
         show(steps[-1].record)
 
     if step.solution.misfit > candidate_set.criteria.linear_misfit and not any_refit_consistent(ranking):
-        path, hopeless = add_subset(candidate_set, step, ranking, progress)
+        path, hopeless = add_subset(candidate_set, step, ranking, progress, few)
         for name, fit, ranks in path:
             step, ranking = fit, ranks
             record("added", name, fit, ranks)
@@ -110,7 +112,11 @@ def _removals(
 
 
 def add_subset(
-    candidate_set: CandidateSet, step: CandidateFit, ranking: Sequence[RankedCandidate], progress: Progress
+    candidate_set: CandidateSet,
+    step: CandidateFit,
+    ranking: Sequence[RankedCandidate],
+    progress: Progress,
+    few: CandidateSubset | None = None,
 ) -> tuple[list[PathStep], bool]:
     """The steps to the set of effects that explains the windows together and whole runs best, or none; and whether they
     end far from the recordings and no set explains even the windows.
@@ -121,13 +127,17 @@ def add_subset(
     criteria = candidate_set.criteria
     by_windows = sorted(ranking, key=lambda r: r.predicted_misfit or np.inf)
     first = [r.prospect for r in by_windows if r.prospect is not None]
-    sets = beam_search(candidate_set, step, first, len(step.effects) + criteria.most_effects_at_once, progress)
-    best_on_windows = sets[0].misfit if sets else np.inf
+    order = [p.score.effect for p in first]
+    best = None if few is None else _with_few(candidate_set, step, few, order, progress)
+    best_on_windows = 1.0
+    if best is None:
+        sets = beam_search(candidate_set, step, first, len(step.effects) + criteria.most_effects_at_once, progress)
+        best_on_windows = sets[0].misfit if sets else np.inf
+        best = _best_subset(candidate_set, step, sets, progress)
 
     def hopeless(last: CandidateFit) -> bool:
         return best_on_windows > criteria.explained_windows_misfit and not last.solution.misfit < criteria.far_misfit
 
-    best = _best_subset(candidate_set, step, sets, progress)
     if best is None or not accept_addition(candidate_set, step, best):
         return [], hopeless(step)
     path, before = [], step
@@ -139,6 +149,18 @@ def add_subset(
     ranks = () if hopeless(best) else tuple(rank(candidate_set, best, progress=progress))
     path.append(PathStep(best.effects[-1], best, ranks))
     return path, hopeless(best)
+
+
+def _with_few(
+    candidate_set: CandidateSet, step: CandidateFit, few: CandidateSubset, order: Sequence[str], progress: Progress
+) -> CandidateFit | None:
+    """The effects of `few` on whole runs, those of `step` first and the others in `order`; None unless only noise is
+    left."""
+    if not set(step.effects) < set(few.effects) <= {*step.effects, *candidate_set.candidates}:
+        return None
+    added = sorted(set(few.effects) - set(step.effects), key=lambda effect: (*order, effect).index(effect))
+    best = _best_subset(candidate_set, step, [few._replace(effects=(*step.effects, *added))], progress)
+    return best if best is not None and consistent_with_noise(best.solution) else None
 
 
 def _best_subset(

@@ -83,6 +83,7 @@ def candidate_score(candidate_set: CandidateSet, ranked: RankedCandidate) -> Can
         statistic=None if score is None else score.statistic,
         predicted_misfit=ranked.predicted_misfit,
         misfit_without=None if ranked.prospect is None else ranked.prospect.without,
+        windows_chi2=ranked.windows_chi2,
         refit_misfit=ranked.refit_misfit,
         estimate=expected,
         refit_estimate=None if again is None else {_last(name): estimate for name, estimate in again.items()},
