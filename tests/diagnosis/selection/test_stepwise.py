@@ -161,6 +161,9 @@ def test_windows_are_searched_only_where_the_effects_at_hand_leave_more_than_noi
     """The effects at hand are added in the order in which each lowers the misfit."""
     problem = linear_problem({"D": 3.0, "a": 4.0, "d": 3.0})
     base, beams = problem.fit(()), []
+    known: Any = problem.candidate_set
+    known.off_zero = lambda name, value: value
+    known.windows = SimpleNamespace(settle=lambda values, *_, rounds: SimpleNamespace(values=values, start=None))
 
     def beam(candidate_set, step, first, most, progress):
         beams.append(most)
@@ -177,7 +180,7 @@ def test_windows_are_searched_only_where_the_effects_at_hand_leave_more_than_noi
     monkeypatch.setattr(stepwise, "rank", lambda *_, progress: [])
     ranking = [RankedCandidate(s.score.effect, s.score, s.misfit, None, (), s) for s in screened(problem)]
     path, hopeless = stepwise.add_subset(
-        problem.candidate_set, base, ranking, lambda _: None, CandidateSubset(few, base.solution.values)
+        known, base, ranking, lambda _: None, CandidateSubset(few, base.solution.values)
     )
     assert bool(beams) is searched
     assert [step.name for step in path] == added and not hopeless

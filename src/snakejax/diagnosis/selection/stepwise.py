@@ -15,6 +15,7 @@ from .beam_search import CandidateSubset, beam_search
 from .candidates import CandidateFit, CandidateSet
 from .ranking import RankedCandidate, any_refit_consistent, rank, significant, trial_order
 from .refit import fresh_fit, no_worse, refit
+from .screening import ScreenedCandidate
 from .steps import SelectionStep
 from .working_step import WorkingStep, selection_step
 
@@ -127,8 +128,7 @@ def add_subset(
     criteria = candidate_set.criteria
     by_windows = sorted(ranking, key=lambda r: r.predicted_misfit or np.inf)
     first = [r.prospect for r in by_windows if r.prospect is not None]
-    order = [p.score.effect for p in first]
-    best = None if few is None else _with_few(candidate_set, step, few, order, progress)
+    best = None if few is None else _with_few(candidate_set, step, few, first, progress)
     best_on_windows = 1.0
     if best is None:
         sets = beam_search(candidate_set, step, first, len(step.effects) + criteria.most_effects_at_once, progress)
@@ -152,14 +152,28 @@ def add_subset(
 
 
 def _with_few(
-    candidate_set: CandidateSet, step: CandidateFit, few: CandidateSubset, order: Sequence[str], progress: Progress
+    candidate_set: CandidateSet,
+    step: CandidateFit,
+    few: CandidateSubset,
+    first: Sequence[ScreenedCandidate],
+    progress: Progress,
 ) -> CandidateFit | None:
-    """The effects of `few` on whole runs, those of `step` first and the others in `order`; None unless only noise is
-    left."""
+    """The effects of `few` on whole runs, those of `step` first and the others in the order of `first`; None unless
+    only noise is left.
+
+    On windows they settle from where the best one of `first` has, as segments, with a prior, leave the tyre far off.
+    """
     if not set(step.effects) < set(few.effects) <= {*step.effects, *candidate_set.candidates}:
         return None
-    added = sorted(set(few.effects) - set(step.effects), key=lambda effect: (*order, effect).index(effect))
-    best = _best_subset(candidate_set, step, [few._replace(effects=(*step.effects, *added))], progress)
+    ranked = [one for one in first if one.score.effect in few.effects]
+    if len(ranked) < len(few.effects) - len(step.effects):
+        return None
+    effects = (*step.effects, *(one.score.effect for one in ranked))
+    others = [name for one in ranked[1:] for name in candidate_set.candidates[one.score.effect]]
+    begin = ranked[0].values | {name: candidate_set.off_zero(name, few.values[name]) for name in others}
+    settled = candidate_set.windows.settle(begin, candidate_set.free(effects), ranked[0].start, rounds=25)
+    subset = CandidateSubset(effects, settled.values, few.misfit, settled.start)
+    best = _best_subset(candidate_set, step, [subset], progress)
     return best if best is not None and consistent_with_noise(best.solution) else None
 
 
