@@ -50,6 +50,8 @@ def test_known_effects_of_a_coupled_base_come_before_a_law(
     found: Any = explaining._explanation_or_steps(None, None, diagnosis, None, seen.append)  # type: ignore[arg-type]
     assert done == tried and seen == shown
     assert found[0] == ("law" if tried[-1] == "inexact" and law_explains else None)
+    # What was sought in vain is not sought again.
+    assert found[2] is (suggests_law and "inexact" in tried and not law_explains)
 
 
 def test_a_search_on_whole_runs_begins_with_the_few_effects_that_segments_found(monkeypatch) -> None:
@@ -59,5 +61,5 @@ def test_a_search_on_whole_runs_begins_with_the_few_effects_that_segments_found(
     monkeypatch.setattr(explaining, "choose_effects_at_once", lambda *_: at_once)
     monkeypatch.setattr(explaining, "_steps_beyond_base", lambda diagnosis, few, *_: begun.append(few) or [])
     diagnosis: Any = SimpleNamespace(base="base", switched=None)
-    assert explaining._explanation_or_steps(None, None, diagnosis, None, None) == (None, ["base"])  # type: ignore[arg-type]
+    assert explaining._explanation_or_steps(None, None, diagnosis, None, None) == (None, ["base"], False)  # type: ignore[arg-type]
     assert begun == ["few"]

@@ -77,13 +77,12 @@ def explain_inexact(
     by_law = by_exact_law(case, noise, diagnosis, progress) if law_is_sought else None
     if by_law is not None:
         return by_law
-    candidate_set, base, search, linear, _ = at_once
     try:
-        assessment = assess_effects(case, noise, candidate_set, base, search, linear)
+        assessment = assess_effects(case, noise, *at_once)
     except FitError:
         return None
     explanation = _by_effects(case, noise, diagnosis, assessment)
-    if law_is_sought or not _law_may_explain(assessment, explanation, candidate_set.candidates):
+    if law_is_sought or not _law_may_explain(assessment, explanation, at_once.candidate_set.candidates):
         return explanation
     return by_exact_law(case, noise, diagnosis, progress) or explanation
 

@@ -81,7 +81,7 @@ def explain(
             break
         case = improved
         diagnosis = diagnose_base(case, noise, library, **question)
-    explanation, working_steps = _explanation_or_steps(case, noise, diagnosis, progress, show_now)
+    explanation, working_steps, law_was_sought = _explanation_or_steps(case, noise, diagnosis, progress, show_now)
     if explanation is not None:
         for step in explanation.steps if logged else explanation.steps[1:]:
             show(step)
@@ -93,16 +93,19 @@ def explain(
             break
         case = improved
         diagnosis, working_steps = _select(case, noise, library, question)
+        law_was_sought = False
     for working_step in working_steps if logged else ():
         show(working_step.record)
     working_steps = odd_run_rather_than_effect(working_steps, show)
-    return _with_clock_errors(_conclude(case, noise, diagnosis, working_steps, progress), working_steps[-1], progress)
+    explanation = _conclude(case, noise, diagnosis, working_steps, law_was_sought, progress)
+    return _with_clock_errors(explanation, working_steps[-1], progress)
 
 
 def _explanation_or_steps(
     case: Case, noise: Noise, diagnosis: BaseDiagnosis, progress: Progress, show: Show
-) -> tuple[Explanation | None, list[WorkingStep]]:
-    """The explanation where the model is not exact, or by a law; else None, and all steps of a search on whole runs.
+) -> tuple[Explanation | None, list[WorkingStep], bool]:
+    """The explanation where the model is not exact, or by a law; else None, all steps of a search on whole runs, and
+    whether a law that leaves only noise was sought in vain.
 
     A law can follow the motion that two known effects cause. Where one is suspected and effects were chosen under
     another structure than that of the base, those under its own are therefore tried first.
@@ -112,17 +115,19 @@ def _explanation_or_steps(
     at_once = None if explains else choose_effects_at_once(case, noise, diagnosis, progress)
     if at_once is None or at_once.few is not None:
         few = None if at_once is None else at_once.few
-        return None, [base, *_steps_beyond_base(diagnosis, few, progress, show)]
-    try_known = at_once.evidence.suggests_law and diagnosis.switched is not None
+        return None, [base, *_steps_beyond_base(diagnosis, few, progress, show)], False
+    suspected = at_once.evidence.suggests_law
+    try_known = suspected and diagnosis.switched is not None
     steps = _steps_beyond_base(diagnosis, None, progress, no_progress) if try_known else []
-    if not (steps and leaves_only_noise(steps[-1])):
+    explained = bool(steps) and leaves_only_noise(steps[-1])
+    if not explained:
         explanation = explain_inexact(case, noise, diagnosis, at_once, progress)
         if explanation is not None:
-            return explanation, []
+            return explanation, [], False
         steps = steps or _steps_beyond_base(diagnosis, None, progress, no_progress)
     for step in steps:
         show(step.record)
-    return None, [base, *steps]
+    return None, [base, *steps], suspected and not explained
 
 
 def _select(
@@ -247,9 +252,17 @@ def _relaxed_steps(
 
 
 def _conclude(
-    case: Case, noise: Noise, diagnosis: BaseDiagnosis, working_steps: Sequence[WorkingStep], progress: Progress
+    case: Case,
+    noise: Noise,
+    diagnosis: BaseDiagnosis,
+    working_steps: Sequence[WorkingStep],
+    law_was_sought: bool,
+    progress: Progress,
 ) -> Explanation:
-    """The verdict on the last of the steps, and what is missing where it leaves more than noise."""
+    """The verdict on the last of the steps, and what is missing where it leaves more than noise.
+
+    `law_was_sought`: no law explains beside the known effects that lower the misfit most.
+    """
     last, steps = working_steps[-1], tuple(step.record for step in working_steps)
     final, left_out = steps[-1], steps[0].left_out
     if leaves_only_noise(last):
@@ -259,7 +272,7 @@ def _conclude(
         missing = latent_force_of(diagnosis, last, progress)
         steps_with_laws, force = with_laws(case, noise, diagnosis, last, missing, progress)
         by_laws = conclude_with_law(case, noise, diagnosis, steps_with_laws, force) if steps_with_laws else None
-        if by_laws is None or by_laws.verdict != "explained":
+        if not law_was_sought and (by_laws is None or by_laws.verdict != "explained"):
             by_laws = by_exact_law_beside(case, noise, diagnosis, progress) or by_laws
         if by_laws is not None:
             return by_laws

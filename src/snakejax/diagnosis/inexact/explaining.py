@@ -17,7 +17,7 @@ from ..selection.criteria import SelectionCriteria
 from ..selection.steps import SelectionStep
 from .assessment import Assessment, assess
 from .candidate_model import candidate_model, movable_parameters
-from .evidence import model_evidence
+from .evidence import ModelEvidence
 from .laws import LawChoice, choose_law
 from .left_out import with_predicting_effects
 from .revision import search_effects
@@ -50,14 +50,21 @@ def find_effects(
 
 
 def assess_effects(
-    case: Case, noise: Noise, candidate_set: CandidateSet, base: Sequence[str], search: Search, linear: Linear
+    case: Case,
+    noise: Noise,
+    candidate_set: CandidateSet,
+    base: Sequence[str],
+    search: Search,
+    linear: Linear,
+    evidence: ModelEvidence,
 ) -> Assessment:
-    """What is reported about the effects at `linear`; where there is a random force, with a law among them.
+    """What is reported about the effects at `linear`; where there is `evidence` of a random force there, with a law
+    among them.
 
     **Raises:** `FitError` where a simulation is not finite.
     """
     choice = LawChoice()
-    if model_evidence(search, linear).has_force:
+    if evidence.has_force:
         choice = choose_law(case, noise, candidate_set, search, linear, base)
     laws: dict[str, tuple[str, ...]] = {}
     if choice.law is not None:
