@@ -1,11 +1,14 @@
 """Levenberg and Marquardt's least squares on problems whose minimum is known, and the bounds of parameters."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from snakejax.core.parameter import Domain
-from snakejax.estimation.levenberg_marquardt import StoppingRule, levenberg_marquardt
+from snakejax.estimation.levenberg_marquardt import Curvature, StoppingRule, levenberg_marquardt
+from snakejax.estimation.linear_residuals import LinearResiduals
 from snakejax.estimation.linearisation import REACH, Variables, retract
 
 
@@ -13,12 +16,19 @@ def rule(enough=1e-12, crawl=0.0, samples=1e9, most=60):
     return StoppingRule(jnp.asarray(enough), jnp.asarray(crawl), jnp.asarray(samples), jnp.asarray(most))
 
 
+def linearised(residuals, z):
+    """`residuals` at `z` as those of one run, all of whose variables are parameters."""
+    z = jnp.asarray(z, float)
+    r, J, none = residuals(z), jax.jacfwd(residuals)(z), np.zeros(len(z))
+    return LinearResiduals(np.asarray(r)[None], np.asarray(J)[None], none, none)
+
+
 def minimum(residuals, start, unit=1.0, **ending):
     """z, the residuals there, the number of steps, and whether nothing is left to gain."""
-    z, r, steps, settled = levenberg_marquardt(
-        lambda z, _: (residuals(z), residuals(z)), jnp.asarray(start), jnp.asarray(unit), rule(**ending)
+    ended = levenberg_marquardt(
+        lambda z: linearised(residuals, z), np.asarray(start), jnp.asarray(unit), rule(**ending)
     )
-    return np.asarray(z), np.asarray(r), int(steps), bool(settled)
+    return ended.z, ended.residuals.residual[0], ended.steps, ended.settled
 
 
 def test_a_quadratic_ends_where_the_normal_equations_say():
@@ -36,6 +46,40 @@ def test_the_valley_of_rosenbrock_is_followed_to_its_end():
     z, _, steps, settled = minimum(lambda z: jnp.stack([10 * (z[1] - z[0] ** 2), 1 - z[0]]), [-1.2, 1.0])
     np.testing.assert_allclose(z, [1.0, 1.0], atol=1e-6)
     assert settled and steps < 60
+
+
+def bent(z):
+    """Residuals with a second derivative: that along d is q(d) = (2 d0^2, 2 d0 d1, 0, 0) at any point."""
+    return jnp.stack([z[0] ** 2 + z[1], z[0] * z[1] - z[2], z[1] + 2 * z[2], z[2] - 1.0])
+
+
+def test_a_step_is_bent_by_the_second_derivative_that_the_step_before_showed():
+    """a / 2 of min |J a + q(d)|^2 + |D a|^2, and nothing where the steps have other directions."""
+    at, tried = np.array([0.3, -0.2, 0.1]), np.array([0.02, -0.01, 0.005])
+    here, there = linearised(bent, at), linearised(bent, at + tried)
+    second = here.beyond(tried, there)
+    np.testing.assert_allclose(second[0], [2 * tried[0] ** 2, 2 * tried[0] * tried[1], 0, 0], atol=1e-15)
+    damping, step = np.array([3.0, 4.0, 5.0]), 0.5 * tried
+    J, wanted = here.jacobian[0], np.array([2 * step[0] ** 2, 2 * step[0] * step[1], 0, 0])
+    expected = -np.linalg.solve(J.T @ J + np.diag(damping**2), J.T @ wanted) / 2
+    curvature = Curvature(tried, second)
+    np.testing.assert_allclose(curvature.acceleration(here, step, damping), expected, rtol=1e-9)
+    assert not curvature.acceleration(here, np.array([0.01, 0.02, 0.0]), damping).any()
+
+
+def canyon(z):
+    """A valley that bends: walls 100 times as steep as its floor, along a sine."""
+    return jnp.stack([100 * (z[1] - jnp.sin(z[0])), z[0] - 2.0])
+
+
+def test_a_bending_canyon_is_followed_in_fewer_steps_than_scipy_takes():
+    """Moré's MINPACK, which scipy calls, with as many derivatives: each of its steps is straight."""
+    z, _, steps, settled = minimum(canyon, [0.0, 0.0], unit=30.0, enough=1e-9)
+    np.testing.assert_allclose(z, [2.0, np.sin(2.0)], atol=1e-5)
+    jacobian = jax.jit(jax.jacfwd(canyon))
+    theirs = least_squares(jax.jit(canyon), [0.0, 0.0], lambda z: np.asarray(jacobian(z)), method="lm", max_nfev=2000)
+    np.testing.assert_allclose(theirs.x, z, atol=1e-3)
+    assert settled and steps < theirs.nfev
 
 
 def test_the_first_step_is_damped_by_the_unit():

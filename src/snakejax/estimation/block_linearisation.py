@@ -9,9 +9,8 @@ from snakejax.core.parameter import parameters
 from snakejax.dynamics.ports import Delay
 from snakejax.dynamics.sampled_signals import held_signals
 
-from .least_squares import in_threads, linearise_in_threads
+from .least_squares import linearise_in_threads
 from .linearisation import LANES, Linearised, Variables
-from .many_runs import MANY
 from .problem import Problem
 
 DELAY_STEP = 0.02
@@ -67,13 +66,7 @@ def linearise_runs(
 def _block_size(problem: Problem) -> int:
     """The number of parameters in a block: with the start state they fill `BLOCK` or the next multiple of `LANES`."""
     depth = problem.batch.start.shape[1]
-    size = max(BLOCK, -(-(depth + 1) // LANES) * LANES) - depth
-    return min(size, problem.width) if _are_whole(problem) else size
-
-
-def _are_whole(problem: Problem) -> bool:
-    """Whether the runs are few and whole: the program of their fits then linearises them too."""
-    return len(problem.runs) <= MANY and not any(run.cut_from for run in problem.runs)
+    return max(BLOCK, -(-(depth + 1) // LANES) * LANES) - depth
 
 
 def _linearised_block(
@@ -85,14 +78,6 @@ def _linearised_block(
     width: int,
 ) -> Linearised:
     """Residuals of `runs` and their Jacobian by the parameters `block`, in `width` columns, and the start."""
-    if _are_whole(problem):
-        at = problem.at(values, block, start)
-
-        def share(part: list[int]) -> Linearised:
-            linearised = problem.evaluate(at, part)
-            return linearised._replace(jacobian=np.delete(linearised.jacobian, range(width, problem.width), axis=-1))
-
-        return in_threads(share, list(runs))
     directions = np.zeros((width, len(problem.names)))
     directions[range(len(block)), [problem.names.index(name) for name in block]] = 1.0
     vector = jnp.asarray([values[name] for name in problem.names])

@@ -1,13 +1,16 @@
 """Levenberg-Marquardt least squares with optimistix; beside `simulation.rayleigh_match` the only user of optimistix."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
+
+from .linear_residuals import LinearResiduals
 
 MOST_STEPS = 60
 """Largest number of steps of one call."""
@@ -18,6 +21,13 @@ more than the first one lowers chi^2 by less than this fraction of `StoppingRule
 _FAR, _RELATIVE = 1.5, 1e-5
 """Above the first misfit, far from the noise, a fit stops where the expected decrease is below the second, relative to
 chi^2."""
+
+
+ALIGNED, SMALL = 0.9, 0.375
+"""A step is bent where the one before had its direction, but for an angle with this cosine, and where it bends by at
+most this share of its length (Transtrum and Sethna 2012 have 0.75 for twice that)."""
+_OPTIONS = {"jac": "bwd"}
+"""The Jacobian of the linear residuals is a matrix, and not a program."""
 
 
 class _Local(eqx.Module):
@@ -86,11 +96,21 @@ class StoppingRule(eqx.Module):
     most: Int[Array, ""]
 
 
+class _TrustRegion(optx.ClassicalTrustRegion):
+    """The trust region of optimistix: a step that is bent is judged by what the linear model expects of the `straight`
+    one."""
+
+    straight: Float[Array, " N"] | None = None
+
+    def predict_reduction(self, y_diff, f_info):
+        return super().predict_reduction(y_diff if self.straight is None else self.straight, f_info)
+
+
 class _LevenbergMarquardt(optx.AbstractGaussNewton):
     """The Gauss-Newton solver of optimistix with `_Marquardt` steps.
 
-    The trust region grows where a step brings 75 % of the expected decrease: these residuals are curved, and with the
-    default cutoff of 99 % the damping would stay large.
+    The trust region grows tenfold where a step brings 75 % of the expected decrease: these residuals are curved, and
+    with the default cutoff of 99 % the damping would stay large. It shrinks fivefold after a step in vain.
     """
 
     ending: StoppingRule
@@ -98,7 +118,7 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
     rtol: float = 0.0
     atol: float = 1e-300
     norm: Callable = optx.two_norm
-    search: optx.AbstractSearch = optx.ClassicalTrustRegion(high_cutoff=0.75, high_constant=30.0, low_constant=0.1)
+    search: optx.AbstractSearch = _TrustRegion(high_cutoff=0.75, high_constant=10.0, low_constant=0.2)
     verbose: Callable = lambda **_: None
 
     def terminate(self, fn, y, args, options, state, tags):
@@ -116,15 +136,93 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
         return little | (far & (state.descent_state.gain < ending.crawl * square))
 
 
-def levenberg_marquardt(
-    residuals: Callable, start: Float[Array, " N"], inverse_damping: Float[Array, ""], ending: StoppingRule
-) -> tuple[Float[Array, " N"], Any, Int[Array, ""], Bool[Array, ""]]:
-    """Minimise |r(z)|^2 from `start` (N,) by Levenberg-Marquardt (Moré 1978).
+class Minimum(NamedTuple):
+    """Where Levenberg-Marquardt ended: `z` (N,), the residuals there, the number of `steps`, and whether the stopping
+    rule on the expected decrease is met (`settled`)."""
 
-    `residuals` takes (z, None) and returns (r, auxiliary data). The first step minimises
-    |J d + r|^2 + sum_k (|J_k| d_k / inverse_damping)^2. Returns z, the auxiliary data at z, the number of steps, and
-    whether the stopping rule on the expected decrease is met.
+    z: Float[np.ndarray, " N"]
+    residuals: LinearResiduals
+    steps: int
+    settled: bool
+
+
+class Curvature(NamedTuple):
+    """The second derivative (R, m) of the residuals along a `step` (N,) that was tried."""
+
+    step: Float[np.ndarray, " N"]
+    second: Float[np.ndarray, "R m"]
+
+    def acceleration(
+        self, here: LinearResiduals, step: Float[np.ndarray, " N"], damping_rows: Float[np.ndarray, " N"]
+    ) -> Float[np.ndarray, " N"]:
+        """The geodesic acceleration a / 2 of a damped `step` d (Transtrum and Sethna 2012).
+
+        a minimises |J a + r_dd|^2 + |damping_rows a|^2, with r_dd from the step that was tried, scaled by the square of
+        the length. It is zero where d has another direction, or where a / 2 is no small part of d.
+        """
+        tried, wanted = damping_rows * self.step, damping_rows * step
+        lengths = np.linalg.norm(tried), np.linalg.norm(wanted)
+        if not (min(lengths) > 0 and abs(tried @ wanted) > ALIGNED * lengths[0] * lengths[1]):
+            return np.zeros_like(step)
+        second = here.in_rows(self.second) * (lengths[1] / lengths[0]) ** 2
+        matrix = np.concatenate([here.rows[1] / damping_rows, np.eye(len(step))])
+        scaled = np.linalg.lstsq(matrix, -np.concatenate([second, np.zeros(len(step))]), rcond=None)[0] / 2
+        return scaled / damping_rows if np.linalg.norm(scaled) <= SMALL * lengths[1] else np.zeros_like(step)
+
+
+def levenberg_marquardt(
+    linearise: Callable[[Float[np.ndarray, " N"]], LinearResiduals],
+    start: Float[np.ndarray, " N"],
+    inverse_damping: Float[Array, ""],
+    ending: StoppingRule,
+) -> Minimum:
+    """Minimise |r(z)|^2 from `start` (N,) by Levenberg-Marquardt (Moré 1978), a step of optimistix at a time.
+
+    The first step minimises |J d + r|^2 + sum_k (|J_k| d_k / inverse_damping)^2. Along a curved valley a straight step
+    has to be short: each step is bent by what the one before missed, without a further simulation.
     """
     solver = _LevenbergMarquardt(ending=ending, descent=_Marquardt(inverse_damping))
-    solution = optx.least_squares(residuals, solver, start, has_aux=True, max_steps=MOST_STEPS, throw=False)
-    return solution.value, solution.state.aux, solution.stats["num_steps"], solver.settled(solution.state)
+    z = at = np.asarray(start, float)
+    here = trial = linearise(at)
+    state, curvature = _started(solver, z, *here.rows), None
+    steps, straight = 0, np.zeros_like(z)
+    while True:
+        if trial is not here and trial.is_finite:
+            curvature = Curvature(at - z, here.beyond(at - z, trial))
+        z, state, accepted, terminate, settled = _stepped(solver, z, state, straight, *trial.rows)
+        z, at, steps = np.asarray(z), np.asarray(state.y_eval), steps + 1
+        here = trial if accepted else here
+        if terminate or steps == MOST_STEPS:
+            return Minimum(z, here, steps, bool(settled))
+        straight = at - z
+        if curvature is not None:
+            at = at + curvature.acceleration(here, straight, _damping_rows(inverse_damping, state))
+            state = eqx.tree_at(lambda s: s.y_eval, state, at)
+        trial = linearise(at)
+
+
+def _damping_rows(inverse_damping: Float[Array, ""], state) -> np.ndarray:
+    """The diagonal (N,) of the rows with which the step of `state` is damped."""
+    size = np.asarray(state.descent_state.size)
+    damping = 1 / (float(inverse_damping) * np.sqrt(float(state.search_state.step_size)))
+    return damping * np.where(size > 0, size, 1.0)
+
+
+def _linear(z, args):
+    residual, jacobian, at = args
+    return residual + jacobian @ (z - at), None
+
+
+@eqx.filter_jit
+def _started(solver: _LevenbergMarquardt, z, residual, jacobian):
+    struct = jax.eval_shape(lambda: residual)
+    return solver.init(_linear, z, (residual, jacobian, z), _OPTIONS, struct, None, frozenset())
+
+
+@eqx.filter_jit
+def _stepped(solver: _LevenbergMarquardt, z, state, straight, residual, jacobian):
+    solver = eqx.tree_at(lambda s: s.search.straight, solver, straight, is_leaf=lambda leaf: leaf is None)
+    args = (residual, jacobian, state.y_eval)
+    z, state, _ = solver.step(_linear, z, args, _OPTIONS, state, frozenset())
+    terminate, _ = solver.terminate(_linear, z, args, _OPTIONS, state, frozenset())
+    return z, state, state.num_steps_since_acceptance == 0, terminate, solver.settled(state)

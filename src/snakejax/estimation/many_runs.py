@@ -16,6 +16,10 @@ FAR, RELATIVE = 1.5, 1e-5
 """Above the first misfit, far from the noise, it stops where the expected decrease is below the second, relative to
 chi^2, as a fit of few runs does."""
 
+BODY = 6
+"""A start state has the pose and velocities of the body, and then the memories of effects."""
+MEMORY_STEP = 1.0
+"""Step [rad] of a memory that costs as much as one sample: a memory is a slip angle, at most pi / 2."""
 LITTLE = 1e-4
 """A run whose start alone is fitted stops where the expected decrease is below this, relative to its chi^2."""
 
@@ -55,7 +59,7 @@ def eliminated_step(
     normal, right = np.zeros((width, width)), np.zeros(width)
     parts = []
     for k, (r, J) in enumerate(zip(residual, jacobian, strict=True)):
-        movable, S, S_damped = _damped(J[:, width:], free_start[k], damping)
+        movable, S, S_damped = _damped(r, J[:, width:], free_start[k], damping)
         below = len(S_damped) - len(S)
         G, r = (np.concatenate([part, np.zeros((below, *part.shape[1:]))]) for part in (J[:, :width], r))
         basis, triangle = np.linalg.qr(S_damped)
@@ -165,7 +169,7 @@ def start_step(r: np.ndarray, S: np.ndarray, free_start: np.ndarray, damping: fl
     move = np.zeros(len(free_start))
     if not (np.isfinite(r).all() and np.isfinite(S).all()):
         return move, 0.0
-    movable, S, S_damped = _damped(S, free_start, damping)
+    movable, S, S_damped = _damped(r, S, free_start, damping)
     if not movable.any():
         return move, 0.0
     right = np.concatenate([-r, np.zeros(len(S_damped) - len(S))])
@@ -173,11 +177,19 @@ def start_step(r: np.ndarray, S: np.ndarray, free_start: np.ndarray, damping: fl
     return move, float(r @ r - ((r + S @ move[movable]) ** 2).sum())
 
 
-def _damped(S: np.ndarray, free_start: np.ndarray, damping: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The start components of a run that can move, the columns `S` of these, and the same over the rows of damping."""
+def _damped(
+    r: np.ndarray, S: np.ndarray, free_start: np.ndarray, damping: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The start components of a run that can move, the columns `S` of these, and the same over the rows of damping.
+
+    A memory is damped by the mean square of the residuals `r` beside that: one that changes little would else move by
+    thousands of radians for the sake of an error of the model.
+    """
     movable = (free_start > 0) & ((S**2).sum(axis=0) > 0)
+    is_memory = np.arange(len(movable)) >= BODY
     S = S[:, movable]
-    return movable, S, np.concatenate([S, np.diag(np.sqrt(damping * (S**2).sum(axis=0)))])
+    least = np.where(is_memory[movable], np.mean(r**2) / MEMORY_STEP**2, 0.0)
+    return movable, S, np.concatenate([S, np.diag(np.sqrt(damping * (S**2).sum(axis=0) + least))])
 
 
 def _flat(parts: Arrays) -> Arrays:

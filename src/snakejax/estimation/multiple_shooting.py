@@ -11,6 +11,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from snakejax.core.local_polynomials import local_cubics
 from snakejax.dynamics.model import Model
@@ -38,6 +39,8 @@ PATIENCE = 5
 """After so many steps the linear model has come near enough to say what can be reached."""
 START_ROUNDS = 6
 """Largest number of steps of the start states alone."""
+START_DAMPING = 1e-4
+"""The damping of the first of them."""
 LOST = 2.0
 """The start state of a window is solved again if a step of the parameters raises its cost by more than this factor."""
 SMOOTHING = 0.12
@@ -125,6 +128,7 @@ class Windows(eqx.Module):
         start: np.ndarray | None = None,
         rounds: int = 12,
         useful: float = np.inf,
+        linearised: Linearised | None = None,
     ) -> "WindowSolution":
         """Minimise chi^2 over the windows by damped Gauss-Newton steps; start states are eliminated window by window.
 
@@ -134,13 +138,14 @@ class Windows(eqx.Module):
 
         **Arguments:** `values`, `start` (W, S): where the iteration begins; `rounds`: largest number of steps;
         `useful`: the largest chi^2 of use; after `PATIENCE` steps it ends where the linear model expects more.
+        `linearised`: the windows there, if they are known and their start states have settled.
         """
         problem, current = self.problem, dict(values)
         free_start = np.asarray(problem.batch.free_start)
         starts = np.asarray(problem.batch.start) if start is None else start
-        starts, linearised = self._started(
-            current, free, starts, self.at(current, starts, free), range(len(problem.runs))
-        )
+        if linearised is None:
+            everywhere = range(len(problem.runs))
+            starts, linearised = self._started(current, free, starts, self.at(current, starts, free), everywhere)
         cost, damping, growth = self._total(linearised, current, free), FIRST_DAMPING, GROWTH
         for k in range(rounds if free and np.isfinite(cost) else 0):
             pull, strength = problem.typical(current, free)
@@ -161,7 +166,7 @@ class Windows(eqx.Module):
                 continue
             decrease, cost = cost - trial_cost, trial_cost
             current, starts, linearised = trial, trial_starts, trial_linearised
-            damping, growth = max(damping / 10, LEAST_DAMPING), GROWTH
+            damping, growth = max(damping * float(damping_factor(decrease / promise)), LEAST_DAMPING), GROWTH
             if decrease < max(LEAST_DECREASE, ENOUGH * cost):
                 break
         return WindowSolution(current, starts, linearised, _cost(linearised))
@@ -189,7 +194,7 @@ class Windows(eqx.Module):
         windows, starts = np.asarray(windows, int), starts.copy()
         residual, jacobian = linearised.residual.copy(), linearised.jacobian.copy()
         free_start = np.asarray(self.problem.batch.free_start)
-        width, damping = self.problem.width, np.full(len(starts), 1e-4)
+        width, damping = self.problem.width, np.full(len(starts), START_DAMPING)
         for _ in range(START_ROUNDS):
             if not windows.size:
                 break
@@ -203,14 +208,15 @@ class Windows(eqx.Module):
             if not windows.size:
                 break
             trial_linearised = linearise_runs(self.problem, values, trial_starts, windows, free)
-            improved = np.array([k for k in windows if (trial_linearised.residual[k] ** 2).sum() < cost[k]], int)
+            decrease = cost - (trial_linearised.residual**2).sum(axis=(1, 2))
+            improved = windows[decrease[windows] > 0]
             starts[improved], residual[improved], jacobian[improved] = (
                 trial_starts[improved],
                 trial_linearised.residual[improved],
                 trial_linearised.jacobian[improved],
             )
-            damping[windows] *= 10
-            damping[improved] /= 100
+            damping[np.setdiff1d(windows, improved)] *= GROWTH
+            damping[improved] *= damping_factor(decrease[improved] / promise[improved])
         return starts, Linearised(residual, jacobian)
 
     def _total(self, linearised: Linearised, values: Mapping[str, float], free: Sequence[str]) -> float:
@@ -219,6 +225,15 @@ class Windows(eqx.Module):
         penalty = float(((pull * strength) ** 2).sum())
         cost = _cost(linearised)
         return cost + penalty * dependence_of(cost / max(linearised.residual.size, 1)) if np.isfinite(cost) else np.inf
+
+
+def damping_factor(ratio: Float[np.ndarray, "..."] | float) -> np.ndarray:
+    """The factor on the damping after a step that lowered chi^2 by `ratio` r times what the linear model promised.
+
+    max(1 / `GROWTH`, 1 - (2 r - 1)^3) (Nielsen 1999): where the linear model is poor the damping stays, or the next
+    step would be in vain.
+    """
+    return np.maximum(1 / GROWTH, 1 - (2 * np.asarray(ratio) - 1) ** 3)
 
 
 def _each(linearised: Linearised) -> np.ndarray:

@@ -147,18 +147,22 @@ def test_a_failed_refit_is_said_in_words(monkeypatch):
 
 @pytest.mark.slow
 def test_an_effect_that_stands_in_for_another_is_as_unsure_as_the_runs_disagree():
-    """A spring explains all, and its error is that of noise; a drag in its place has another value in each run."""
+    """A spring explains all, and its error is that of noise; a drag in its place has another value in each run.
+
+    The tyre is not free beside the drag: both would become absurd together, with derivatives of 1e21.
+    """
     found = bench(False)
-    for effect, runs, wider in (("spring", found.train, False), ("quadratic_drag", found.train, True)):
+    for effect, wider in (("spring", False), ("quadratic_drag", True)):
         (name,) = found.candidates[effect]
         values = {**base(False).solution.values, name: 0.5}
-        solution = found.problem.fit(values, found.free([effect]), runs)
+        free = [name] if wider else found.free([effect])
+        solution = found.problem.fit(values, free, found.train)
         assert consistent_with_noise(solution) is not wider
         row = solution.loose.index(name)
         noise = spread(solution) * np.sqrt(solution.covariance[row, row])
         sd = estimates_of(found.problem, solution)[name].sd
         assert sd is not None and (sd > noise if wider else sd == pytest.approx(noise))
-    alone = found.problem.fit(values, found.free([effect]), found.train[:1])
+    alone = found.problem.fit(values, free, found.train[:1])
     assert contradicted(found.problem, alone)[name] > 0, "stretches of the one run"
 
 

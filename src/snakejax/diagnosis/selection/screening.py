@@ -10,9 +10,10 @@ from snakejax.core.parallel import ContextThreads
 from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
 from snakejax.estimation.block_linearisation import linearise_runs
 from snakejax.estimation.goodness_of_fit import largest_noise_misfit
-from snakejax.estimation.multiple_shooting import WindowSolution
+from snakejax.estimation.linearisation import Linearised
+from snakejax.estimation.multiple_shooting import Windows, WindowSolution
 from snakejax.estimation.problem import DEPENDENT
-from snakejax.estimation.sensitivity import Sensitivities
+from snakejax.estimation.sensitivity import NEARER, Sensitivities
 
 from .candidates import WORKERS, CandidateFit, CandidateSet
 from .criteria import SelectionCriteria
@@ -85,12 +86,13 @@ def screen_candidates(
     ]
     if near:
         return screened
-    return _refit_on_windows(candidate_set, screened, _WindowBase(fitted, values, start, chi2 / dof, dof), progress)
+    base = _WindowBase(fitted, values, start, chi2 / dof, dof, sensitivities.linearised)
+    return _refit_on_windows(candidate_set, screened, base, progress)
 
 
 class _WindowBase(NamedTuple):
     """The model without the candidates on the windows: `fitted` parameters, `values`, `start` states (W, S), `misfit`
-    and its degrees of freedom `dof`.
+    and its degrees of freedom `dof`, and residuals with their Jacobian by all parameters (`linearised`).
     """
 
     fitted: Sequence[str]
@@ -98,6 +100,15 @@ class _WindowBase(NamedTuple):
     start: np.ndarray
     misfit: float
     dof: int
+    linearised: Linearised
+
+    def by(self, windows: Windows, free: Sequence[str]) -> Linearised:
+        """The residuals with their Jacobian by the parameters `free` and the start states, as `windows.at` has it."""
+        problem, columns = windows.problem, self.linearised.jacobian
+        rows = [problem.names.index(name) for name in free]
+        padding = np.zeros((*columns.shape[:-1], problem.width - len(rows)))
+        parts = [columns[..., rows], padding, columns[..., len(problem.names) :]]
+        return Linearised(self.linearised.residual, np.concatenate(parts, axis=-1))
 
 
 def _settled(candidate_set: CandidateSet, step: CandidateFit, fitted: Sequence[str]) -> WindowSolution:
@@ -129,8 +140,10 @@ def _refit_on_windows(
     def settle(candidate: ScreenedCandidate) -> ScreenedCandidate:
         effect, parts = candidate.score.effect, candidate_set.candidates[candidate.score.effect]
         # From where the others have settled, so that all move together; only what has no slope at zero starts off it.
-        at = {n: candidate_set.off_zero(n, base.values[n]) if n in parts else base.values[n] for n in candidate.values}
-        best = candidate_set.windows.settle(at, [*base.fitted, *parts], base.start, 25, base.misfit * base.dof)
+        at = {**base.values, **{n: _off_zero(candidate_set, n, candidate.score) for n in parts if not base.values[n]}}
+        windows, free = candidate_set.windows, [*base.fitted, *parts]
+        known = base.by(windows, free) if at == base.values else None
+        best = windows.settle(at, free, base.start, 25, base.misfit * base.dof, known)
         misfit = best.cost / base.dof
         if misfit > base.misfit:
             return candidate._replace(misfit=base.misfit)
@@ -144,6 +157,14 @@ def _refit_on_windows(
         refitted = sorted(pool.map(settle, chosen), key=lambda c: c.misfit)
     done = {c.score.effect for c in refitted}
     return [*refitted, *(c for c in screened if c.score.effect not in done)]
+
+
+def _off_zero(candidate_set: CandidateSet, name: str, scored: ScoreTest) -> float:
+    """Where the parameter `name`, now zero, starts: at zero, or what has no slope there where its score sees it."""
+    probe = candidate_set.probes().get(name)
+    if probe is None:
+        return 0.0
+    return scored.values[name] if scored.values[name] > 0 else NEARER * probe
 
 
 def _promises(scored: ScoreTest, misfit: float, dof: int, criteria: SelectionCriteria) -> bool:
