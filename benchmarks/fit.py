@@ -2,8 +2,8 @@
 
     python benchmarks/fit.py [PART ...]
 
-prints one table, or the PARTs named: against_scipy, jacobian, whole_case, imports, command_line. All times are medians
-over repeats that alternate, so a busy machine slows both sides.
+prints one table, or the PARTs named: against_scipy, canyon, jacobian, whole_case, imports, command_line. All times are
+medians over repeats that alternate, so a busy machine slows both sides.
 """
 
 import json
@@ -34,8 +34,10 @@ from snakejax.dynamics.inputs import Gait  # noqa: E402
 from snakejax.dynamics.model import Model  # noqa: E402
 from snakejax.dynamics.signals import Sines, Tracked  # noqa: E402
 from snakejax.dynamics.tyres import Pacejka  # noqa: E402
+from snakejax.estimation import levenberg_marquardt  # noqa: E402
 from snakejax.estimation.fitting import fit  # noqa: E402
 from snakejax.estimation.initial_model import starting_model  # noqa: E402
+from snakejax.estimation.linear_residuals import LinearResiduals  # noqa: E402
 from snakejax.estimation.problem import FIT_ACCURACY, Problem  # noqa: E402
 from snakejax.estimation.uncertainty import estimates_of  # noqa: E402
 from snakejax.recording.case import load_case  # noqa: E402
@@ -221,6 +223,31 @@ def against_scipy() -> None:
             line("  scipy / snakejax, median over the starts from which both do", f"{ratio:.1f}")
 
 
+def canyon() -> None:
+    """Steps along the sine of a valley with steep walls, r = (wall (z_1 - sin z_0), z_0 - 2) from the origin."""
+    print("Steps to the end of a valley that bends, with walls so many times as steep as its floor")
+    bend = levenberg_marquardt.SMALL
+    ending = levenberg_marquardt.StoppingRule(*(np.asarray(part) for part in (1e-9, 0.0, 1e9, 60)))
+    for wall in (30.0, 100.0, 300.0, 1000.0):
+
+        def residual(z, wall=wall):
+            return jnp.stack([wall * (z[1] - jnp.sin(z[0])), z[0] - 2.0])
+
+        slope = jax.jit(jax.jacfwd(residual))
+
+        def linearised(z, residual=residual, slope=slope):
+            none = np.zeros(2)
+            return LinearResiduals(np.asarray(residual(z))[None], np.asarray(slope(z))[None], none, none)
+
+        steps = []
+        for levenberg_marquardt.SMALL in (bend, 0.0):
+            ended = levenberg_marquardt.levenberg_marquardt(linearised, np.zeros(2), np.asarray(30.0), ending)
+            steps.append(f"{ended.steps}" if ended.settled else f"more than {ended.steps}")
+        theirs = least_squares(residual, np.zeros(2), lambda z, slope=slope: np.asarray(slope(z)), method="lm")
+        line(f"walls {wall:g}: snakejax; with straight steps; scipy (MINPACK)", "; ".join([*steps, str(theirs.nfev)]))
+    levenberg_marquardt.SMALL = bend
+
+
 def jacobian() -> None:
     """The derivative of one run in five parameters, in units of the run itself."""
     problem, _ = one_run()
@@ -297,7 +324,7 @@ def main() -> None:
     """Print the table."""
     versions = {name: __import__(name).__version__ for name in ("jax", "diffrax", "optimistix", "scipy", "numba")}
     print(f"{os.cpu_count()} cores; {json.dumps(versions)}")
-    parts = (against_scipy, jacobian, whole_case, imports, command_line)
+    parts = (against_scipy, canyon, jacobian, whole_case, imports, command_line)
     for part in parts:
         if part.__name__ in sys.argv[1:] or not sys.argv[1:]:
             part()
