@@ -67,6 +67,17 @@ def test_a_step_is_bent_by_the_second_derivative_that_the_step_before_showed():
     assert not curvature.acceleration(here, np.array([0.01, 0.02, 0.0]), damping).any()
 
 
+def test_a_step_to_where_the_residuals_are_not_finite_is_taken_back():
+    """ln z from 8 to 1: an undamped step leads below zero, where there is no logarithm."""
+    z, r, _, settled = minimum(lambda z: jnp.stack([jnp.log(z[0]), 1e-3 * z[0]]), [8.0])
+    assert settled and np.isfinite(r).all() and z[0] == pytest.approx(1.0, abs=1e-4)
+
+
+def test_a_start_without_finite_residuals_ends_there():
+    z, _, _, settled = minimum(lambda z: jnp.stack([jnp.log(z[0]), z[0]]), [-1.0])
+    assert z[0] == -1.0 and not settled
+
+
 def canyon(z):
     """A valley that bends: walls 100 times as steep as its floor, along a sine."""
     return jnp.stack([100 * (z[1] - jnp.sin(z[0])), z[0] - 2.0])

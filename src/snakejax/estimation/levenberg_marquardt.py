@@ -165,6 +165,8 @@ class Curvature(NamedTuple):
         if not (min(lengths) > 0 and abs(tried @ wanted) > ALIGNED * lengths[0] * lengths[1]):
             return np.zeros_like(step)
         second = here.in_rows(self.second) * (lengths[1] / lengths[0]) ** 2
+        if not np.isfinite(second).all():
+            return np.zeros_like(step)
         matrix = np.concatenate([here.rows[1] / damping_rows, np.eye(len(step))])
         scaled = np.linalg.lstsq(matrix, -np.concatenate([second, np.zeros(len(step))]), rcond=None)[0] / 2
         return scaled / damping_rows if np.linalg.norm(scaled) <= SMALL * lengths[1] else np.zeros_like(step)
@@ -187,7 +189,7 @@ def levenberg_marquardt(
     state, curvature = _started(solver, z, *here.rows), None
     steps, straight = 0, np.zeros_like(z)
     while True:
-        if trial is not here and trial.is_finite:
+        if trial is not here and trial.is_finite and here.is_finite:
             curvature = Curvature(at - z, here.beyond(at - z, trial))
         z, state, accepted, terminate, settled = _stepped(solver, z, state, straight, *trial.rows)
         z, at, steps = np.asarray(z), np.asarray(state.y_eval), steps + 1
