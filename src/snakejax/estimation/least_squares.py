@@ -89,9 +89,9 @@ def linearise_in_threads(
 
     if len(runs) < THREADS:
         return share(runs)
-    parts = min(len(runs), 2 * THREADS)
+    count = min(len(runs), 2 * THREADS)
     with ThreadPoolExecutor(THREADS) as pool:
-        shares = list(pool.map(share, [runs[k::parts] for k in range(parts)]))
+        shares = list(pool.map(share, [runs[k::count] for k in range(count)]))
     return Linearised(*(sum(parts[1:], parts[0]) for parts in zip(*shares, strict=True)))
 
 

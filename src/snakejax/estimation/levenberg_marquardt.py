@@ -70,8 +70,12 @@ class _Marquardt(optx.AbstractDescent):
         )
 
     def step(self, step_size, state):
-        damping = 1 / (self.inverse_damping * jnp.sqrt(step_size))
-        return -_solved(state.jacobian, state.residual, state.size, damping)[0], optx.RESULTS.successful
+        step = _solved(state.jacobian, state.residual, state.size, self.damping(step_size))[0]
+        return -step, optx.RESULTS.successful
+
+    def damping(self, step_size):
+        """sqrt(lambda) over c."""
+        return 1 / (self.inverse_damping * jnp.sqrt(step_size))
 
 
 def _solved(J, r, size, damping) -> tuple[Array, Array]:
@@ -191,23 +195,16 @@ def levenberg_marquardt(
     while True:
         if trial is not here and trial.is_finite and here.is_finite:
             curvature = Curvature(at - z, here.beyond(at - z, trial))
-        z, state, accepted, terminate, settled = _stepped(solver, z, state, straight, *trial.rows)
+        z, state, accepted, terminate, settled, damping_rows = _stepped(solver, z, state, straight, *trial.rows)
         z, at, steps = np.asarray(z), np.asarray(state.y_eval), steps + 1
         here = trial if accepted else here
         if terminate or steps == MOST_STEPS:
             return Minimum(z, here, steps, bool(settled))
         straight = at - z
         if curvature is not None:
-            at = at + curvature.acceleration(here, straight, _damping_rows(inverse_damping, state))
+            at = at + curvature.acceleration(here, straight, np.asarray(damping_rows))
             state = eqx.tree_at(lambda s: s.y_eval, state, at)
         trial = linearise(at)
-
-
-def _damping_rows(inverse_damping: Float[Array, ""], state) -> np.ndarray:
-    """The diagonal (N,) of the rows with which the step of `state` is damped."""
-    size = np.asarray(state.descent_state.size)
-    damping = 1 / (float(inverse_damping) * np.sqrt(float(state.search_state.step_size)))
-    return damping * np.where(size > 0, size, 1.0)
 
 
 def _linear(z, args):
@@ -227,4 +224,6 @@ def _stepped(solver: _LevenbergMarquardt, z, state, straight, residual, jacobian
     args = (residual, jacobian, state.y_eval)
     z, state, _ = solver.step(_linear, z, args, _OPTIONS, state, frozenset())
     terminate, _ = solver.terminate(_linear, z, args, _OPTIONS, state, frozenset())
-    return z, state, state.num_steps_since_acceptance == 0, terminate, solver.settled(state)
+    size, damping = state.descent_state.size, solver.descent.damping(state.search_state.step_size)  # type: ignore
+    damping_rows = damping * jnp.where(size > 0, size, 1.0)
+    return z, state, state.num_steps_since_acceptance == 0, terminate, solver.settled(state), damping_rows

@@ -10,7 +10,7 @@ from snakejax.core.parallel import ContextThreads
 from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
 from snakejax.estimation.block_linearisation import linearise_runs
 from snakejax.estimation.goodness_of_fit import largest_noise_misfit
-from snakejax.estimation.linearisation import Linearised
+from snakejax.estimation.linearisation import Linearised, widened
 from snakejax.estimation.multiple_shooting import Windows, WindowSolution
 from snakejax.estimation.problem import DEPENDENT
 from snakejax.estimation.sensitivity import NEARER, Sensitivities
@@ -104,11 +104,10 @@ class _WindowBase(NamedTuple):
 
     def by(self, windows: Windows, free: Sequence[str]) -> Linearised:
         """The residuals with their Jacobian by the parameters `free` and the start states, as `windows.at` has it."""
-        problem, columns = windows.problem, self.linearised.jacobian
-        rows = [problem.names.index(name) for name in free]
-        padding = np.zeros((*columns.shape[:-1], problem.width - len(rows)))
-        parts = [columns[..., rows], padding, columns[..., len(problem.names) :]]
-        return Linearised(self.linearised.residual, np.concatenate(parts, axis=-1))
+        problem, (residual, jacobian) = windows.problem, self.linearised
+        starts = range(len(problem.names), jacobian.shape[-1])
+        columns = [*(problem.names.index(name) for name in free), *starts]
+        return widened(Linearised(residual, jacobian[..., columns]), problem.width - len(free), len(free))
 
 
 def _settled(candidate_set: CandidateSet, step: CandidateFit, fitted: Sequence[str]) -> WindowSolution:
@@ -131,7 +130,8 @@ def _refit_on_windows(
     come first.
     """
     criteria = candidate_set.criteria
-    without_slope = {name.split(".")[1] for name in candidate_set.probes()}
+    probes = candidate_set.probes()
+    without_slope = {name.split(".")[1] for name in probes}
     chosen = [
         c for c in screened if c.score.effect in without_slope or _promises(c.score, base.misfit, base.dof, criteria)
     ]
@@ -139,8 +139,13 @@ def _refit_on_windows(
 
     def settle(candidate: ScreenedCandidate) -> ScreenedCandidate:
         effect, parts = candidate.score.effect, candidate_set.candidates[candidate.score.effect]
-        # From where the others have settled, so that all move together; only what has no slope at zero starts off it.
-        at = {**base.values, **{n: _off_zero(candidate_set, n, candidate.score) for n in parts if not base.values[n]}}
+        # From where the others have settled, so that all move together; only what has no slope at zero starts off it,
+        # where its score sees it.
+        at = dict(base.values)
+        for name in parts:
+            if name in probes and at[name] == 0.0:
+                estimate = candidate.score.values[name]
+                at[name] = estimate if estimate > 0 else NEARER * probes[name]
         windows, free = candidate_set.windows, [*base.fitted, *parts]
         known = base.by(windows, free) if at == base.values else None
         best = windows.settle(at, free, base.start, 25, base.misfit * base.dof, known)
@@ -157,14 +162,6 @@ def _refit_on_windows(
         refitted = sorted(pool.map(settle, chosen), key=lambda c: c.misfit)
     done = {c.score.effect for c in refitted}
     return [*refitted, *(c for c in screened if c.score.effect not in done)]
-
-
-def _off_zero(candidate_set: CandidateSet, name: str, scored: ScoreTest) -> float:
-    """Where the parameter `name`, now zero, starts: at zero, or what has no slope there where its score sees it."""
-    probe = candidate_set.probes().get(name)
-    if probe is None:
-        return 0.0
-    return scored.values[name] if scored.values[name] > 0 else NEARER * probe
 
 
 def _promises(scored: ScoreTest, misfit: float, dof: int, criteria: SelectionCriteria) -> bool:
