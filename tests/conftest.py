@@ -15,6 +15,7 @@ from helpers.folders import beside
 from helpers.studies import study
 
 from snakejax import prepare_jax
+from snakejax.estimation.kept_program import drop_programs
 
 prepare_jax()
 jax.config.update("jax_numpy_dtype_promotion", "strict")
@@ -50,6 +51,7 @@ def _programs_that_others_left(pytestconfig: pytest.Config) -> Iterator[None]:
     yield
     if _resident() > pytestconfig.stash.setdefault(_memory, 0) + MORE_MEMORY:
         jax.clear_caches()
+        drop_programs()
         gc.collect()
         pytestconfig.stash[_memory] = _resident()
 

@@ -44,7 +44,8 @@ def recipe() -> dict:
 
 def test_the_conda_recipe_needs_what_the_project_needs() -> None:
     spaced = [re.sub(r"([><=])", r" \1", line, count=1) for line in PROJECT["project"]["dependencies"]]
-    needed = {line.replace("matplotlib ", "matplotlib-base ") for line in spaced}
+    other_names = {"matplotlib": "matplotlib-base", "flatbuffers": "python-flatbuffers"}
+    needed = {f"{other_names.get(name, name)} {limit}" for name, limit in (line.split(" ", 1) for line in spaced)}
     needed.add(f"python {PROJECT['project']['requires-python']}")
     assert set(recipe()["requirements"]["run"]) == needed
     commands = [f"{name} = {target}" for name, target in PROJECT["project"]["scripts"].items()]

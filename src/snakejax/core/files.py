@@ -1,5 +1,6 @@
-"""Atomic writing of files."""
+"""Atomic writing of files, and files that are whole or not read."""
 
+import hashlib
 import os
 import tempfile
 from pathlib import Path
@@ -29,6 +30,24 @@ def write_whole(path: Path | str, text: str | bytes) -> Path:
         if temporary is not None:
             Path(temporary).unlink(missing_ok=True)
     return path
+
+
+def write_sealed(path: Path, content: bytes) -> None:
+    """Write the SHA-256 of `content`, and `content`, to `path` atomically.
+
+    **Raises:** `InputError` if it cannot be written.
+    """
+    write_whole(path, hashlib.sha256(content).digest() + content)
+
+
+def read_sealed(path: Path) -> bytes | None:
+    """What `write_sealed` wrote to the file `path`; None where there is no file, or it is damaged."""
+    try:
+        whole = path.read_bytes()
+    except OSError:
+        return None
+    size = hashlib.sha256().digest_size
+    return whole[size:] if whole[:size] == hashlib.sha256(whole[size:]).digest() else None
 
 
 def require_writable(path: Path | str) -> None:

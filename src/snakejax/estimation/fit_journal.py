@@ -12,7 +12,6 @@ Fits are called from many places and from threads, so that the journal is a cont
 import contextlib
 import contextvars
 import functools
-import hashlib
 import io
 import pickle
 from collections.abc import Callable, Iterator
@@ -24,13 +23,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from snakejax.core.errors import InputError
-from snakejax.core.files import write_whole
+from snakejax.core.files import read_sealed, write_sealed
 from snakejax.simulation.chunks import fingerprint
 
 Function = TypeVar("Function", bound=Callable)
 SUFFIX = ".fit"
 """Ending of the name of a file with one fit."""
-_HASH = hashlib.sha256().digest_size
 
 
 class FitJournal:
@@ -47,10 +45,10 @@ class FitJournal:
         Nothing is kept where a part has no digest, such as a function among the fields of an effect, and where the
         folder is not writable.
         """
-        if not _has_digest(parts):
+        if not has_digest(parts):
             return compute()
         path = self.folder / f"{fingerprint(parts)}{SUFFIX}"
-        content = _sound(path)
+        content = read_sealed(path)
         if content is not None:
             with contextlib.suppress(Exception):  # A file of another origin: any error of unpickling.
                 result = _Reader(io.BytesIO(content)).load()
@@ -63,7 +61,7 @@ class FitJournal:
             _journal.reset(token)
         self.computed += 1
         with contextlib.suppress(InputError):
-            write_whole(path, hashlib.sha256(content).digest() + content)
+            write_sealed(path, content)
         # What is read later is what the search goes on with now, to the layout of the arrays.
         return _Reader(io.BytesIO(content)).load()
 
@@ -103,20 +101,11 @@ def kept_fit(function: Function) -> Function:
     return cast(Function, wrapped)
 
 
-def _has_digest(parts: Any) -> bool:
+def has_digest(parts: Any) -> bool:
     """Whether no leaf of `parts` is an object, and nothing in its structure is known by its address alone."""
     leaves, structure = jax.tree.flatten(parts)
     arrays = all(isinstance(leaf, jax.Array | np.ndarray | np.generic | float | int | str | bool) for leaf in leaves)
     return arrays and not any(np.asarray(leaf).dtype == object for leaf in leaves) and " at 0x" not in str(structure)
-
-
-def _sound(path: Path) -> bytes | None:
-    """The content of the file `path`; None where there is none, or it is damaged."""
-    try:
-        whole = path.read_bytes()
-    except OSError:
-        return None
-    return whole[_HASH:] if whole[:_HASH] == hashlib.sha256(whole[_HASH:]).digest() else None
 
 
 def _content(result: Any) -> bytes:

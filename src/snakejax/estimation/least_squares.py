@@ -12,6 +12,7 @@ from snakejax.dynamics.model import Model
 from snakejax.simulation.integrate import Accuracy
 
 from .batch import Batch
+from .kept_program import KeptProgram
 from .levenberg_marquardt import MOST_STEPS, StoppingRule, levenberg_marquardt
 from .linear_residuals import LinearResiduals
 from .linearisation import Linearised, Variables, domains_of, first, linearise, narrowed, retract, widened
@@ -71,7 +72,7 @@ def _robust(r: np.ndarray, J: np.ndarray, threshold: float) -> tuple[np.ndarray,
     return np.where(outlying, np.sign(r) * robust_size, r), J * slope[..., None]
 
 
-_linearise = eqx.filter_jit(linearise)
+_linearise = KeptProgram(linearise, Linearised)
 
 
 def linearise_in_threads(

@@ -155,14 +155,13 @@ class _Stepping(NamedTuple):
 
     @staticmethod
     def of(run: _Run, accuracy: Accuracy) -> "_Stepping":
-        model, gait, state, begin, times = run
-        most_steps = max(accuracy.max_steps, STEPS_A_SAMPLE * times.shape[0])
+        model, gait, state = run.model, run.gait, run.state
+        most_steps = max(accuracy.max_steps, STEPS_A_SAMPLE * run.times.shape[0])
         # diffrax fails on an empty tuple inside the state, so the list of leaves is integrated.
         leaves, structure = jax.tree.flatten(state)
 
-        @jax.jit  # so that it is traced and differentiated once, and not at each place where it is called
         def rates(t: Scalar, y: list[Scalar]) -> list[Scalar]:
-            return jax.tree.leaves(model.rates(t, jax.tree.unflatten(structure, y), gait))
+            return _rates(model, gait, structure, t, y)
 
         if accuracy.step is not None:
             return _Stepping(rates, leaves, structure, diffrax.ConstantStepSize(), accuracy.step, most_steps)
@@ -170,8 +169,8 @@ class _Stepping(NamedTuple):
         # the error control does not measure; with these proportional and integral gains the step does not overshoot.
         gains = {"pcoeff": 0.2, "icoeff": 0.4, "safety": 0.8, "norm": _error_size(len(jax.tree.leaves(state[0])))}
         # The bound uses at most half of the steps; the others remain for the time in which the board moves.
-        most = jnp.maximum(_stable_at_rest(rates, state, begin), 2 * (times[-1] - begin) / most_steps)
-        most = jax.lax.stop_gradient(most)
+        fixed = _without_derivative(run)
+        most = jnp.maximum(_stable_at_rest(fixed), 2 * (fixed.times[-1] - fixed.begin) / most_steps)
         controller = _RestBoundedPIDController(rtol=accuracy.rtol, atol=accuracy.atol, from_rest=most, **gains)
         # A command that is held jumps at its samples: a step across a jump would have an error that no derivative
         # shows.
@@ -180,6 +179,16 @@ class _Stepping(NamedTuple):
             at = jax.lax.stop_gradient(jnp.sort(jnp.concatenate(jumps)))
             controller = diffrax.ClipStepSizeController(controller, jump_ts=at)
         return _Stepping(rates, leaves, structure, controller, jnp.minimum(1e-3, most), most_steps)
+
+
+@eqx.filter_jit  # so that programs that differ in their runs trace and differentiate it once
+def _rates(model: Model, gait: AbstractInputs, structure: Any, t: Scalar, y: list[Scalar]) -> list[Scalar]:
+    """The rates of the leaves `y` of a state with this `structure`."""
+    return jax.tree.leaves(model.rates(t, jax.tree.unflatten(structure, y), gait))
+
+
+def _without_derivative(tree: Any) -> Any:
+    return jax.tree.map(lambda leaf: jax.lax.stop_gradient(leaf) if eqx.is_inexact_array(leaf) else leaf, tree)
 
 
 def _by_forward_loop(run: _Run, accuracy: Accuracy, throw: bool) -> tuple[Any, Bool[Array, ""]]:
@@ -246,18 +255,20 @@ class _RestBoundedPIDController(diffrax.PIDController):
         return keep, begin, end, jumped, memory, result
 
 
-def _stable_at_rest(rates: Rates, state: Any, t: Scalar) -> Scalar:
+def _stable_at_rest(run: _Run) -> Scalar:
     """The longest step [s] near rest, 2 / fastest decay rate: inside the stability interval of Tsit5."""
-    body, memories = jax.tree.map(lambda part: jnp.zeros((), jnp.result_type(part)), state)
+    structure = jax.tree.structure(run.state)
+    body, memories = jax.tree.map(lambda part: jnp.zeros((), jnp.result_type(part)), run.state)
     if not body[3:]:  # The inputs alone prescribe the motion.
         return jnp.asarray(jnp.inf)
     nudged = (*body[:3], *(part + NUDGE for part in body[3:]))
     pairs = zip(*(jax.tree.leaves((at, memories)) for at in (body, nudged)), strict=True)
     both = [jnp.stack(pair) for pair in pairs]
     # One after the other, so that the program holds the rates once for both.
-    velocities = jnp.stack(jax.lax.map(lambda y: rates(t, y), both)[3 : len(body)])
+    at_rest = jax.lax.map(lambda y: _rates(run.model, run.gait, structure, run.begin, y), both)
+    velocities = jnp.stack(at_rest[3 : len(body)])
     fastest = jnp.max(jnp.abs(velocities[:, 1] - velocities[:, 0])) / NUDGE
-    return 2.0 / jnp.maximum(jax.lax.stop_gradient(fastest), 1.0)
+    return 2.0 / jnp.maximum(fastest, 1.0)
 
 
 def motions(

@@ -33,6 +33,7 @@ from snakejax.dynamics.ports import Effect, Force
 from snakejax.recording.run import Run
 
 from ..batch import stacked_gaits
+from ..kept_program import KeptProgram
 from ..multiple_shooting import initial_states
 from .segmented_runs import cut_segments
 
@@ -137,8 +138,7 @@ def _at(model: Model, names, multiplicative, values, step):
     return with_parameters(model, {name: moved[k] for k, name in enumerate(names)})
 
 
-@eqx.filter_jit
-def _linearised(model: Model, stated, names, multiplicative, values, sub, segments, z):
+def _linearise(model: Model, stated, names, multiplicative, values, sub, segments, z):
     P, nz = len(names), z.shape[-1]
 
     def one(segment, z):
@@ -149,6 +149,9 @@ def _linearised(model: Model, stated, names, multiplicative, values, sub, segmen
         return jax.vmap(lambda d: jax.jvp(outputs, (zero,), (d,)), out_axes=(None, -1))(jnp.eye(P + nz))
 
     return jax.vmap(one)(segments, z)
+
+
+_linearised = KeptProgram(_linearise, lambda pose, end, d_pose, d_end: ((pose, end), (d_pose, d_end)))
 
 
 @eqx.filter_jit

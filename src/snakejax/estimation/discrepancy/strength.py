@@ -20,6 +20,7 @@ from scipy import optimize
 from snakejax.dynamics.model import Model
 from snakejax.recording.run import Run
 
+from ..kept_program import KeptProgram
 from ..multiple_shooting import initial_states
 from .kalman import Discrepancy, SegmentData, filter_runs
 from .least_squares import Prior
@@ -129,7 +130,6 @@ def _logarithms(of: Discrepancy) -> np.ndarray:
     return np.log([of.white[0], of.white[2], of.wander[0], of.wander[2], of.wander_time, *of.force, of.force_time])
 
 
-@jax.jit
 def _restricted(logarithms, data: SegmentData, precision, mean):
     e = jnp.exp(logarithms)
     position, both = jnp.array([0, 0, 1]), jnp.array([2, 2, 3])
@@ -145,13 +145,18 @@ def _restricted(logarithms, data: SegmentData, precision, mean):
     return logs + chi2 + jnp.linalg.slogdet(scaled)[1] + 2 * jnp.sum(jnp.log(size))
 
 
-_restricted_and_slope = jax.jit(jax.value_and_grad(_restricted))
+def _restricted_and_its_slope(logarithms, data: SegmentData, precision, mean):
+    return jax.value_and_grad(_restricted)(logarithms, data, precision, mean)
+
+
+_restricted_alone = KeptProgram(_restricted, lambda value: value)
+_restricted_and_slope = KeptProgram(_restricted_and_its_slope, lambda value, slope: (value, slope))
 
 
 def restricted_likelihood(data: SegmentData, of: Discrepancy, free: np.ndarray, prior: Prior) -> float:
     """R (-2 log restricted likelihood) with the parameters numbered `free` free within their `prior`."""
     kept = _kept(data, free)
-    return float(_restricted(jnp.asarray(_logarithms(of)), kept, *_prior_of(prior, free)))
+    return float(_restricted_alone(jnp.asarray(_logarithms(of)), kept, *_prior_of(prior, free)))
 
 
 def estimate_discrepancy(
