@@ -90,7 +90,7 @@ def test_another_structure_shape_or_type_is_another_program(folder) -> None:
 
 
 def test_equal_numbers_of_other_types_are_other_programs(folder) -> None:
-    program = KeptProgram(lambda power, x: (x / x.dtype.type(2) if power is True else x**power,), lambda value: value)
+    program = KeptProgram(lambda power, x: x / x.dtype.type(2) if power is True else x**power)
     np.testing.assert_allclose(program(True, X), X / 2)
     np.testing.assert_allclose(program(1, X), X)
 
@@ -100,14 +100,14 @@ def test_laws_of_one_class_name_are_other_programs(folder) -> None:
     damped = law_class("X = -k * u", (LawParameter("k", "N s/m"),))(k=2.0)
 
     def expression(law, x):
-        return (x * len(law.expression) + (1 if "u" in law.expression else 0),)
+        return x * len(law.expression) + (1 if "u" in law.expression else 0)
 
-    results = [KeptProgram(expression, lambda value: value)(law, X) for law in (stiff, damped)]
+    results = [KeptProgram(expression)(law, X) for law in (stiff, damped)]
     np.testing.assert_allclose(results[1] - results[0], 1.0)
 
 
 def test_what_has_no_digest_is_compiled_and_not_kept(folder) -> None:
-    program = KeptProgram(lambda function, x: (function(x),), lambda value: value)
+    program = KeptProgram(lambda function, x: function(x))
     np.testing.assert_allclose(program(jnp.sin, X), np.sin(X))
     np.testing.assert_allclose(program(jnp.cos, X), np.cos(X))
     assert not list(folder.glob(f"*{SUFFIX}"))
@@ -137,7 +137,7 @@ def test_threads_that_need_one_program_trace_it_once(folder) -> None:
 
 
 def test_an_error_is_raised_each_time_and_nothing_is_kept(folder) -> None:
-    program = KeptProgram(lambda x: (jnp.dot(x, jnp.zeros(4)),), lambda value: value)
+    program = KeptProgram(lambda x: jnp.dot(x, jnp.zeros(4)))
     for _ in range(2):
         with pytest.raises(TypeError):
             program(X)

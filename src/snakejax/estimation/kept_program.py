@@ -40,12 +40,13 @@ class KeptProgram:
 
     Where JAX keeps compiled programs in a folder (`jax_compilation_cache_dir`), traced ones are kept there too, and are
     not traced again by another process. Threads that need one program wait until the first of them has compiled it.
-    The arguments hold arrays of numbers, and no traced ones; `result` makes what is returned of the arrays in what the
-    function returns.
+    The arguments hold arrays of numbers, and no traced ones; `named_tuples` are the classes of those in the result.
     """
 
-    def __init__(self, function: Callable, result: Callable) -> None:
-        self.function, self.result = function, result
+    def __init__(self, function: Callable, *named_tuples: type) -> None:
+        self.function = function
+        for kind in named_tuples:
+            _may_be_written(kind)
         self.compiled: dict[Hashable, Future] = {}
         self.lock = threading.Lock()
         _programs.add(self)
@@ -65,14 +66,14 @@ class KeptProgram:
             except BaseException as error:
                 self.compiled.pop(key, None)
                 program.set_exception(error)
-        return self.result(*program.result()(*arrays))
+        return program.result()(*arrays)
 
     def _compile(self, args: Any, arrays: list) -> Callable:
         dynamic, static = eqx.partition(args, eqx.is_array)
         structure = jax.tree.structure(dynamic)
 
-        def flat(*arrays: Any) -> list:
-            return jax.tree.leaves(self.function(*eqx.combine(jax.tree.unflatten(structure, arrays), static)))
+        def flat(*arrays: Any) -> Any:
+            return self.function(*eqx.combine(jax.tree.unflatten(structure, arrays), static))
 
         flat.__name__ = self.function.__name__  # by which benchmarks and JAX's messages name the program
         with _tracing:
@@ -93,6 +94,11 @@ class KeptProgram:
             with contextlib.suppress(InputError):
                 write_sealed(path, bytes(traced.serialize()))
         return functools.wraps(flat)(lambda *arrays: traced.call(*arrays))
+
+
+@functools.cache  # JAX takes each class once
+def _may_be_written(kind: type) -> None:
+    export.register_namedtuple_serialization(kind, serialized_name=f"{kind.__module__}.{kind.__qualname__}")
 
 
 def drop_programs() -> None:

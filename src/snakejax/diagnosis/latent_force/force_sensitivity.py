@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +10,7 @@ from snakejax.core.parameter import with_parameters
 from snakejax.dynamics.contact import Motion, slip_angle
 from snakejax.dynamics.model import Model
 from snakejax.estimation.batch import Batch
+from snakejax.estimation.kept_program import KeptProgram
 from snakejax.estimation.linearisation import Variables, domains_of, retract
 from snakejax.simulation.integrate import Accuracy, motions, simulate
 
@@ -52,8 +52,7 @@ class ForceLinearisation(NamedTuple):
     track: MotionSamples
 
 
-@eqx.filter_jit
-def linearise_in_force(model: Model, at: Variables, batch: Batch, grid, knots):
+def _linearise_in_force(model: Model, at: Variables, batch: Batch, grid, knots):
     """Everything at one point, window by window: `grid` (W,) is the time of the first knot, `knots` (W, K, 3)."""
     domains = domains_of(model, at.names)
     P, S, K = len(at.names), at.start.shape[1], knots.shape[1]
@@ -82,6 +81,9 @@ def linearise_in_force(model: Model, at: Variables, batch: Batch, grid, knots):
         return r, J, track
 
     return jax.lax.map(window, (batch, at.start, at.free_start, grid, knots))
+
+
+linearise_in_force = KeptProgram(_linearise_in_force, MotionSamples)
 
 
 def _track(model: Model, gait, path) -> MotionSamples:

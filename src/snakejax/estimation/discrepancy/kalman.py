@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ..kept_program import KeptProgram
 from .segmented_runs import LENGTH, SegmentedRuns
 from .segments import FORCE, LinearisedSegments
 
@@ -250,7 +251,7 @@ def filter_runs(data: SegmentData, noise, restart):
     return jax.vmap(lambda run: _filter_run(run, noise, restart))(data)
 
 
-@jax.jit
+@KeptProgram
 def _gram_and_logs(data: SegmentData, noise, restart):
     gram, logs, _ = filter_runs(data, noise, restart)
     return gram, logs

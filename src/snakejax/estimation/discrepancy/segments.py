@@ -18,7 +18,6 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -138,7 +137,8 @@ def _at(model: Model, names, multiplicative, values, step):
     return with_parameters(model, {name: moved[k] for k, name in enumerate(names)})
 
 
-def _linearise(model: Model, stated, names, multiplicative, values, sub, segments, z):
+@KeptProgram
+def _linearised(model: Model, stated, names, multiplicative, values, sub, segments, z):
     P, nz = len(names), z.shape[-1]
 
     def one(segment, z):
@@ -151,17 +151,14 @@ def _linearise(model: Model, stated, names, multiplicative, values, sub, segment
     return jax.vmap(one)(segments, z)
 
 
-_linearised = KeptProgram(_linearise, lambda pose, end, d_pose, d_end: ((pose, end), (d_pose, d_end)))
-
-
-@eqx.filter_jit
+@KeptProgram
 def _ends(model: Model, stated, names, values, sub, segments, z):
     """The end states (S, nz - 3) of segments."""
     model = with_parameters(model, {name: values[k] for k, name in enumerate(names)})
     return jax.vmap(lambda segment, z: _integrated(model, stated, sub, segment, z)[1])(segments, z)
 
 
-@eqx.filter_jit
+@KeptProgram
 def _fastest_decay(model: Model, names, values, segments, states):
     """The largest |d(rate of a velocity) / d(the same velocity)| in each segment, (S,) [1/s]."""
     model = with_parameters(model, {name: values[k] for k, name in enumerate(names)})
@@ -181,7 +178,7 @@ def _fastest_decay(model: Model, names, values, segments, states):
     return jax.vmap(one)(segments, states)
 
 
-@eqx.filter_jit
+@KeptProgram
 def _steady_memories(model: Model, segments, bodies):
     def one(segment, body):
         gait, times, _, _, payload, codes = segment

@@ -145,12 +145,12 @@ def _restricted(logarithms, data: SegmentData, precision, mean):
     return logs + chi2 + jnp.linalg.slogdet(scaled)[1] + 2 * jnp.sum(jnp.log(size))
 
 
-def _restricted_and_its_slope(logarithms, data: SegmentData, precision, mean):
+@KeptProgram
+def _restricted_and_slope(logarithms, data: SegmentData, precision, mean):
     return jax.value_and_grad(_restricted)(logarithms, data, precision, mean)
 
 
-_restricted_alone = KeptProgram(_restricted, lambda value: value)
-_restricted_and_slope = KeptProgram(_restricted_and_its_slope, lambda value, slope: (value, slope))
+_restricted_alone = KeptProgram(_restricted)
 
 
 def restricted_likelihood(data: SegmentData, of: Discrepancy, free: np.ndarray, prior: Prior) -> float:
