@@ -33,6 +33,7 @@ _PACKAGES = ("jax", "jaxlib", "equinox", "diffrax", "optimistix", "numpy")
 _tracing = threading.Lock()
 """One program is traced at a time: the next one finds in the caches of JAX what both have in common."""
 _programs: "weakref.WeakSet[KeptProgram]" = weakref.WeakSet()
+"""All that there are, whose compiled programs can be dropped."""
 
 
 class KeptProgram:
@@ -44,6 +45,7 @@ class KeptProgram:
     """
 
     def __init__(self, function: Callable, *named_tuples: type) -> None:
+        functools.update_wrapper(self, function)
         self.function = function
         for kind in named_tuples:
             _may_be_written(kind)
@@ -52,7 +54,7 @@ class KeptProgram:
         _programs.add(self)
 
     def __call__(self, *args: Any) -> Any:
-        """The result of the function for `args`."""
+        """The result of the function for `args`. **Raises:** what the function raises while it is traced."""
         leaves, structure = jax.tree.flatten(args)
         arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
         # Of 1, 1.0 and True, which are equal, each makes another program.
@@ -108,6 +110,7 @@ def drop_programs() -> None:
 
 
 def _shape(array: Any) -> tuple:
+    """What a traced program knows of an array."""
     return array.shape, array.dtype, getattr(array, "weak_type", False)
 
 
