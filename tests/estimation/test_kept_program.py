@@ -5,13 +5,12 @@ from pathlib import Path
 from threading import Thread
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from snakejax.core.parameter import Scalar
+from snakejax import Pacejka
 from snakejax.dynamics.law import LawParameter, law_class
 from snakejax.estimation.kept_program import SUFFIX, KeptProgram
 
@@ -23,21 +22,14 @@ class Curve(NamedTuple):
     slope: np.ndarray
 
 
-class Spring(eqx.Module):
-    """A model with one number that is traced, and one that is not."""
-
-    stiffness: Scalar
-    power: int = 1
-
-
 TRACED: list[int] = []
-"""The power of each model that was traced."""
+"""The power in each program that was traced."""
 
 
-def curve(spring: Spring, x) -> Curve:
+def curve(stiffness, power: int, x) -> Curve:
     """k x^n and its derivative by x; counts how often it is traced."""
-    TRACED.append(spring.power)
-    value, slope = jax.jvp(lambda x: spring.stiffness * x**spring.power, (x,), (jnp.ones_like(x),))
+    TRACED.append(power)
+    value, slope = jax.jvp(lambda x: stiffness * x**power, (x,), (jnp.ones_like(x),))
     return Curve(value, slope)
 
 
@@ -51,24 +43,19 @@ def folder(tmp_path) -> Iterator[Path]:
     jax.config.update("jax_compilation_cache_dir", before)
 
 
-def in_another_process(spring: Spring, x: np.ndarray) -> Curve:
+def in_another_process(stiffness: float, power: int, x: np.ndarray) -> Curve:
     """The result of a program that remembers nothing."""
     jax.clear_caches()
-    return KeptProgram(curve, Curve)(spring, x)
+    return KeptProgram(curve, Curve)(jnp.asarray(stiffness), power, x)
 
 
 X = np.linspace(0.0, 2.0, 5)
 
 
-def of(stiffness: float, power: int = 1) -> Spring:
-    """The spring with a traced stiffness."""
-    return Spring(jnp.asarray(stiffness), power)
-
-
 def test_another_process_does_not_trace_again(folder) -> None:
-    first = in_another_process(of(3.0, 2), X)
+    first = in_another_process(3.0, 2, X)
     assert TRACED == [2]
-    second = in_another_process(of(5.0, 2), X + 1)
+    second = in_another_process(5.0, 2, X + 1)
     assert TRACED == [2]
     assert len(list(folder.glob(f"*{SUFFIX}"))) == 1
     np.testing.assert_allclose(first.value, 3 * X**2)
@@ -78,10 +65,10 @@ def test_another_process_does_not_trace_again(folder) -> None:
 
 
 def test_another_structure_shape_or_type_is_another_program(folder) -> None:
-    in_another_process(of(3.0, 2), X)
-    cubic = in_another_process(of(3.0, 3), X)
-    shorter = in_another_process(of(3.0, 2), X[:3])
-    single = in_another_process(of(3.0, 2), X.astype(np.float32))
+    in_another_process(3.0, 2, X)
+    cubic = in_another_process(3.0, 3, X)
+    shorter = in_another_process(3.0, 2, X[:3])
+    single = in_another_process(3.0, 2, X.astype(np.float32))
     assert TRACED == [2, 3, 2, 2]
     assert len(list(folder.glob(f"*{SUFFIX}"))) == 4
     np.testing.assert_allclose(cubic.slope, 9 * X**2)
@@ -106,6 +93,23 @@ def test_laws_of_one_class_name_are_other_programs(folder) -> None:
     np.testing.assert_allclose(results[1] - results[0], 1.0)
 
 
+class Hinge(Pacejka):
+    """A tyre of a user, whose code may call anything."""
+
+
+def test_programs_of_classes_of_a_user_are_traced_by_each_process(folder) -> None:
+    def force(tyre, x):
+        TRACED.append(0)
+        return tyre.force(x, x)
+
+    tyres = [kind(6.0, 1.4, 5.0, 0.2) for kind in (Pacejka, Hinge)]
+    for tyre, files in zip(tyres, (1, 1), strict=True):
+        results = [KeptProgram(force)(tyre, X) for _ in range(2)]
+        np.testing.assert_allclose(results[0], results[1])
+        assert len(list(folder.glob(f"*{SUFFIX}"))) == files
+    assert len(TRACED) == 3
+
+
 def test_what_has_no_digest_is_compiled_and_not_kept(folder) -> None:
     program = KeptProgram(lambda function, x: function(x))
     np.testing.assert_allclose(program(jnp.sin, X), np.sin(X))
@@ -115,19 +119,19 @@ def test_what_has_no_digest_is_compiled_and_not_kept(folder) -> None:
 
 @pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b"", lambda b: b[:-1] + bytes([b[-1] ^ 1])])
 def test_a_damaged_file_is_traced_again(folder, damage) -> None:
-    in_another_process(of(3.0), X)
+    in_another_process(3.0, 1, X)
     (file,) = folder.glob(f"*{SUFFIX}")
     whole = file.read_bytes()
     file.write_bytes(damage(whole))
-    np.testing.assert_allclose(in_another_process(of(3.0), X).value, 3 * X)
+    np.testing.assert_allclose(in_another_process(3.0, 1, X).value, 3 * X)
     assert TRACED == [1, 1]
-    in_another_process(of(3.0), X)
+    in_another_process(3.0, 1, X)
     assert TRACED == [1, 1]
 
 
 def test_threads_that_need_one_program_trace_it_once(folder) -> None:
     program, results = KeptProgram(curve, Curve), []
-    threads = [Thread(target=lambda: results.append(program(of(3.0), X).value)) for _ in range(4)]
+    threads = [Thread(target=lambda: results.append(program(jnp.asarray(3.0), 1, X).value)) for _ in range(4)]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -147,7 +151,7 @@ def test_an_error_is_raised_each_time_and_nothing_is_kept(folder) -> None:
 def test_without_a_folder_it_is_compiled_all_the_same(folder) -> None:
     jax.config.update("jax_compilation_cache_dir", None)
     program = KeptProgram(curve, Curve)
-    np.testing.assert_allclose(program(of(3.0), X).value, 3 * X)
-    np.testing.assert_allclose(program(of(4.0), X).value, 4 * X)
+    np.testing.assert_allclose(program(jnp.asarray(3.0), 1, X).value, 3 * X)
+    np.testing.assert_allclose(program(jnp.asarray(4.0), 1, X).value, 4 * X)
     assert TRACED == [1]
     assert not list(folder.iterdir())

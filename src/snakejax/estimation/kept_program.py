@@ -22,7 +22,7 @@ from jax import export
 
 from snakejax.core.errors import InputError
 from snakejax.core.files import read_sealed, write_sealed
-from snakejax.simulation.chunks import fingerprint
+from snakejax.simulation.chunks import fingerprint, user_classes
 
 from .fit_journal import has_digest
 
@@ -40,7 +40,8 @@ class KeptProgram:
     """`function`, compiled once for each structure and shape of its arguments, as `equinox.filter_jit` compiles it.
 
     Where JAX keeps compiled programs in a folder (`jax_compilation_cache_dir`), traced ones are kept there too, and are
-    not traced again by another process. Threads that need one program wait until the first of them has compiled it.
+    not traced again by another process, but for those of a user's classes: nobody knows what code these call. Threads
+    that need one program wait until the first of them has compiled it.
     The arguments hold arrays of numbers, and no traced ones; `named_tuples` are the classes of those in the result.
     """
 
@@ -86,7 +87,7 @@ class KeptProgram:
         """`flat`, of the folder if it is there, else traced now and written there."""
         folder = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
         parts = jax.tree.map(lambda leaf: repr(_shape(leaf)) if eqx.is_array(leaf) else leaf, args)
-        if folder is None or not has_digest(parts):
+        if folder is None or user_classes(args) or not has_digest(parts):
             return flat
         name = f"{self.function.__module__}.{self.function.__qualname__}"
         path = Path(folder) / f"{fingerprint(name, _environment(), parts)}{SUFFIX}"

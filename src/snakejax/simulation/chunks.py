@@ -56,7 +56,7 @@ def fingerprint(*parts: Any) -> str:
     leaves, structure = jax.tree.flatten(parts)
     digest.update(f"{structure} {jax.__version__} {chunk_size()}".encode())
     digest.update(_own_code())
-    for kind in sorted(_classes(parts), key=lambda kind: kind.__qualname__):
+    for kind in sorted(user_classes(parts), key=lambda kind: kind.__qualname__):
         for name, method in vars(kind).items():
             code = getattr(method, "__code__", None)
             digest.update(f"{name} {code and (code.co_code, code.co_consts, code.co_names)}".encode())
@@ -88,7 +88,7 @@ def _modules(tree: Any) -> Iterator[eqx.Module]:
             yield from _modules([getattr(node, field.name) for field in dataclasses.fields(node)])  # type: ignore
 
 
-def _classes(tree: Any) -> set[type]:
+def user_classes(tree: Any) -> set[type]:
     """The user-defined classes of equinox modules in `tree`."""
     return {type(node) for node in _modules(tree) if not type(node).__module__.startswith("snakejax.")}
 
