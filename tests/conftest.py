@@ -1,6 +1,5 @@
 """What every test takes for granted: double precision, and no silent change of type or of rank."""
 
-import gc
 import os
 import resource
 import shutil
@@ -50,9 +49,7 @@ def _programs_that_others_left(pytestconfig: pytest.Config) -> Iterator[None]:
     one before."""
     yield
     if _resident() > pytestconfig.stash.setdefault(_memory, 0) + MORE_MEMORY:
-        jax.clear_caches()
         drop_programs()
-        gc.collect()
         pytestconfig.stash[_memory] = _resident()
 
 

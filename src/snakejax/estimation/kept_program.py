@@ -7,6 +7,7 @@ found by what it was traced from: code, structure and shapes of its arguments.
 
 import contextlib
 import functools
+import gc
 import importlib.metadata
 import os
 import threading
@@ -92,10 +93,11 @@ class KeptProgram:
         name = f"{self.function.__module__}.{self.function.__qualname__}"
         path = Path(folder) / f"{fingerprint(name, _environment(), parts)}{SUFFIX}"
         content = read_sealed(path)
-        traced = export.export(jax.jit(flat))(*arrays) if content is None else export.deserialize(bytearray(content))
         if content is None:
+            content = bytes(export.export(jax.jit(flat))(*arrays).serialize())
             with contextlib.suppress(InputError):
-                write_sealed(path, bytes(traced.serialize()))
+                write_sealed(path, content)
+        traced = export.deserialize(bytearray(content))
         return functools.wraps(flat)(lambda *arrays: traced.call(*arrays))
 
 
@@ -105,9 +107,11 @@ def _may_be_written(kind: type) -> None:
 
 
 def drop_programs() -> None:
-    """Drop all compiled programs, as `jax.clear_caches` does with those that JAX holds."""
+    """Remove all compiled programs from memory, those that JAX holds too."""
+    jax.clear_caches()
     for program in _programs:
         program.compiled.clear()
+    gc.collect()  # The functions and programs refer to each other.
 
 
 def _shape(array: Any) -> tuple:

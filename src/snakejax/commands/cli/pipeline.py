@@ -4,7 +4,6 @@ import argparse
 import contextlib
 import ctypes
 import functools
-import gc
 import os
 import sys
 import time
@@ -177,13 +176,9 @@ def each_case(
 
 def _drop_programs() -> None:
     """Remove all compiled programs from memory; those that are needed again are read from the folder on disk."""
-    import jax
-
     from snakejax.estimation.kept_program import drop_programs
 
-    jax.clear_caches()
     drop_programs()
-    gc.collect()  # The functions and programs refer to each other.
     # The C library of GNU/Linux keeps what is freed until it is asked to return it; others have no such function.
     give_back = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
     if give_back is not None:
