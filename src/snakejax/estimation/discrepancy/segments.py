@@ -14,6 +14,7 @@ Segments are short, so that h and F are nearly linear in z and p even where the 
 """
 
 import copy
+from collections import OrderedDict
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
@@ -135,6 +136,15 @@ _FORCE_NAMES = tuple(f"effects.segment_force.{part}" for part in "XYN")
 def _at(model: Model, names, multiplicative, values, step):
     moved = jnp.where(multiplicative, values * jnp.exp(step), values + step)
     return with_parameters(model, {name: moved[k] for k, name in enumerate(names)})
+
+
+def _in_parts(model: Model) -> Model:
+    """`model`, where the effects of each port stand in a conditional that is always true.
+
+    What is inside is compiled on its own. In one piece, the derivatives of all effects compute again and again what
+    they share, which takes twice as long.
+    """
+    return model.with_active(OrderedDict((name, jnp.asarray(True)) for name in model.effects))
 
 
 @KeptProgram
@@ -323,13 +333,13 @@ class Segments:
         (S, n), P, nz = (len(numbers), self.cut.pose.shape[1]), len(self.names), z.shape[1]
         pose, end = np.zeros((S, n, 3)), np.zeros((S, nz - FORCE))
         d_pose, d_end = np.zeros((S, n, 3, P + nz)), np.zeros((S, nz - FORCE, P + nz))
-        point, steps = jnp.asarray(values, jnp.float64), steps[numbers]
+        model, point, steps = _in_parts(self.model), jnp.asarray(values, jnp.float64), steps[numbers]
 
         def fill(part: np.ndarray) -> None:
             padded = numbers[np.concatenate([part, np.repeat(part[-1:], CHUNK - len(part))])]
             segments, start = jax.tree.map(lambda leaf: jnp.asarray(leaf[padded]), (self.inputs, z))
             sub = jnp.asarray(steps[part].max())
-            done = _linearised(self.model, self.stated, self.names, self.multiplicative, point, sub, segments, start)
+            done = _linearised(model, self.stated, self.names, self.multiplicative, point, sub, segments, start)
             for target, results in zip(((pose, end), (d_pose, d_end)), done, strict=True):
                 for whole, values_ in zip(target, results, strict=True):
                     whole[part] = np.asarray(values_)[: len(part)]
