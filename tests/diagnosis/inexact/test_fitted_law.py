@@ -90,7 +90,7 @@ def test_a_law_keeps_the_terms_that_predict_runs_left_out(
     linear, _ = linear_problem()
     refitted: list[np.ndarray] = []
 
-    def refit(point, effects, most):
+    def refit(point, effects):
         refitted.append(point.values)
         return linear
 

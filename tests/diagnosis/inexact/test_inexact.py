@@ -229,7 +229,7 @@ def test_a_fit_goes_on_along_a_simulation_where_smoothed_states_lead_astray(
     monkeypatch.setattr(Search, "along_simulation", lambda _, point: at(point.values, along=True))
     model = SimpleNamespace(candidates={}, probes={})
     search = Search(SimpleNamespace(), model, SimpleNamespace())  # type: ignore[arg-type]
-    end: Any = search._refitted(at(np.array([8.0])), (), 10, 0).point  # type: ignore[arg-type]
+    end: Any = search._refitted(at(np.array([8.0])), ()).point  # type: ignore[arg-type]
     assert end.along is simulation_is_likelier
     assert bool(abs(end.values[0]) < 0.3) is simulation_is_likelier
 

@@ -61,13 +61,15 @@ class Assessment(NamedTuple):
             return 0.0
         return float(np.max(self.linear.point.discrepancy.force / self.search.scales.force))
 
-    def fit_with(self, effects: tuple[str, ...]) -> tuple[np.ndarray, bool]:
-        """The values (P,) with some of the effects, fitted beside a random force of their own; and whether that fit has
-        converged."""
-        whole = effects == self.effects
-        linear = self.linear if whole else self.search.refit(self.linear.point, effects)
-        best = linear.subsets.with_effects(effects)
-        return self.search.segments.moved(linear.point.values, best.step), distance(best) < ARRIVED
+    @property
+    def values(self) -> np.ndarray:
+        """The values (P,) of all parameters with all effects."""
+        return self.search.segments.moved(self.linear.point.values, self.linear.optimum.step)
+
+    @property
+    def converged(self) -> bool:
+        """Whether the fit with all effects has converged."""
+        return distance(self.linear.optimum) < ARRIVED
 
     def estimates(self, effects: tuple[str, ...], values: np.ndarray) -> dict[str, Estimate]:
         """The estimates of the parameters free in a model with `effects`, by name, at their `values`."""

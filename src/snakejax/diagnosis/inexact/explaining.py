@@ -181,5 +181,5 @@ def _row(assessment: Assessment, number: int, here: tuple[str, ...], effect: str
     else:
         why = f"refused: chi^2 falls by {fall:.3g}, by chance at most {threshold:.3g}"
     p = min(1.0, subsets.p_value(effect, fall) * len(assessment.search.model.candidates))
-    gain = assessment.predicted.gain(here, effect)
-    return TriedCandidate(number, effect, gain.share, p, best.chi2 / assessment.predicted.samples, taken, why, twins)
+    share = assessment.predicted.share(here, effect)
+    return TriedCandidate(number, effect, share, p, best.chi2 / assessment.predicted.samples, taken, why, twins)

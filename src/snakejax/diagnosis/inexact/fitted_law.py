@@ -18,7 +18,7 @@ from .candidate_model import CandidateModel, candidate_model, movable_parameters
 from .evidence import model_evidence
 from .left_out import Gain, left_out, with_predicting_effects
 from .revision import revised
-from .search import FINE, Linear, Point, Search
+from .search import Linear, Point, Search
 
 WIDE = 3.0
 """Prior standard deviation of a number of a law, as a multiple of its value in the segments."""
@@ -115,7 +115,7 @@ def without_idle_terms(
         point = fitted.linear.point
         values = _values_in(own, fitted.search, point.values, {})
         try:
-            linear = own.refit(point._replace(values=values), point.effects, most=FINE)
+            linear = own.refit(point._replace(values=values), point.effects)
         except FitError:
             break
         shorter = _judged(fitted.name, proposal, own_set, own, linear)

@@ -1,6 +1,6 @@
 """What effects are worth on runs left out: each train run predicted with parameters from the others."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +10,7 @@ from snakejax.estimation.discrepancy.kalman import block_gram_matrices, gram_mat
 from snakejax.estimation.discrepancy.least_squares import quadratic
 from snakejax.estimation.discrepancy.open_loop import open_loop
 
-from .search import FINE, Linear, Search
+from .search import Linear, Search
 from .subsets import left_out_deviances, left_out_errors
 
 BLOCK = 8
@@ -74,8 +74,11 @@ class LeftOut(NamedTuple):
     def gain(self, effects: Iterable[str], effect: str) -> Gain:
         """What `effect` is worth beside the others of `effects`: the fall of -2 log density of each block."""
         rest = [other for other in effects if other != effect]
-        share = (self.error(rest) - self.error([*rest, effect])).sum() / self.error([]).sum()
-        return Gain(self.deviance(rest) - self.deviance([*rest, effect]), float(share))
+        return Gain(self.deviance(rest) - self.deviance([*rest, effect]), self.share(rest, effect))
+
+    def share(self, effects: Sequence[str], effect: str) -> float:
+        """The fall of the squared error of whole runs with `effect` beside `effects`, of the error without any."""
+        return float((self.error(effects) - self.error([*effects, effect])).sum() / self.error([]).sum())
 
     def deviance(self, effects: Iterable[str]) -> Float[np.ndarray, " N"]:
         """-2 log density of each block that has samples with `effects`, as the other runs and the blocks before it
@@ -105,7 +108,7 @@ def with_predicting_effects(search: Search, linear: Linear) -> Linear:
     and keeps all."""
     effects = linear.point.effects
     kept = left_out(search, linear).predicting(effects) if len(linear.gram) > 1 else effects
-    return linear if set(kept) == set(effects) else search.refit(linear.point, kept, most=FINE)
+    return linear if set(kept) == set(effects) else search.refit(linear.point, kept)
 
 
 def left_out(search: Search, linear: Linear) -> LeftOut:

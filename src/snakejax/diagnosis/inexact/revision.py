@@ -8,7 +8,7 @@ from snakejax.core.progress import Phase, ProgressEvent
 from snakejax.estimation.discrepancy.kalman import Discrepancy, gram_matrices
 from snakejax.estimation.discrepancy.strength import estimate_discrepancy
 
-from .search import FINE, ROUGH, Linear, Point, Search, rounds, slopeless
+from .search import ROUGH, Linear, Point, Search, rounds, slopeless
 from .subsets import addition_gains, choose
 
 REVISIONS = 4
@@ -27,14 +27,14 @@ def revised(search: Search, point: Point) -> Linear:
     """The effects of `point` fitted to the end, and chosen again there until nothing changes."""
     for _ in range(REVISIONS):
         search.progress(ProgressEvent(Phase.FITTING_EFFECTS))
-        linear = search.refit(point, point.effects, most=FINE)
+        linear = search.refit(point, point.effects)
         again = choose(linear.subsets.without(slopeless(search, linear.point)), linear.point.effects)
         if set(again) == set(linear.point.effects):
             again += masked_by_force(search, linear)
         if set(again) == set(linear.point.effects):
             return linear
         point = linear.point._replace(effects=tuple(again))
-    return search.refit(point, point.effects, most=FINE)
+    return search.refit(point, point.effects)
 
 
 def masked_by_force(search: Search, linear: Linear) -> list[str]:

@@ -36,7 +36,7 @@ SEARCH_ROUNDS = 5
 REFIT_ROUNDS = 10
 """Rounds of a fit of one set of effects, at most."""
 ROUGH, FINE = 8, 40
-"""Iterations of the discrepancy while the model still moves, and at the end."""
+"""Iterations of the discrepancy while effects are chosen, and where a set of them is fitted, at most."""
 SMALLEST_SHARE = 0.25
 """Least share of a step that is taken along a curved valley."""
 ARRIVED = 0.3
@@ -169,19 +169,19 @@ class Search(NamedTuple):
             point = self.stepped(linear, linear.optimum.step, ())
         return point
 
-    def refit(self, point: Point, effects: Sequence[str], rounds: int = REFIT_ROUNDS, most: int = ROUGH) -> Linear:
+    def refit(self, point: Point, effects: Sequence[str]) -> Linear:
         """`effects` alone fitted to the end from `point`, and the problem linearised there."""
         fitted: list[Linear] = []
 
         def fit() -> Point:
-            fitted.append(self._refitted(point, effects, rounds, most))
+            fitted.append(self._refitted(point, effects))
             return fitted[0].point
 
         # Of a fit that is kept only the point is: the arrays of its linearisation are large, and computed at once.
-        end = kept(("refit", self.parts, point, tuple(effects), rounds, most), fit)
+        end = kept(("refit", self.parts, point, tuple(effects)), fit)
         return fitted[0] if fitted else self.linearise(end, most=0)
 
-    def _refitted(self, point: Point, effects: Sequence[str], rounds: int, most: int) -> Linear:
+    def _refitted(self, point: Point, effects: Sequence[str]) -> Linear:
         values = point.values.copy()
         for effect, columns in self.model.candidates.items():
             for k in columns:
@@ -190,9 +190,9 @@ class Search(NamedTuple):
                 elif k in self.model.probes and values[k] == self.model.neutral[k]:
                     values[k] = self.model.probes[k]
         point = point._replace(values=values, effects=tuple(effects))
-        linear = self.linearise(point, most=most)
+        linear = self.linearise(point, most=FINE)
         share, simulated = 1.0, False
-        for _ in range(rounds):
+        for _ in range(REFIT_ROUNDS):
             before = distance(linear.optimum)
             if before < ARRIVED:
                 break
@@ -200,7 +200,7 @@ class Search(NamedTuple):
             if simulated:
                 point = self.along_simulation(point)
             try:
-                further = self.linearise(point, most=most)
+                further = self.linearise(point, most=FINE)
             except FitError:
                 # Too far: the step is taken again, half as long.
                 share = max(0.5 * share, SMALLEST_SHARE)
@@ -212,7 +212,7 @@ class Search(NamedTuple):
                 along = self.along_simulation(linear.point)
                 data = self._likelier_data(along, linear)
                 if data is not None:
-                    linear, share, simulated = self.linearise(along, most=most, data=data), 1.0, True
+                    linear, share, simulated = self.linearise(along, most=FINE, data=data), 1.0, True
                     continue
             linear = further
             share = min(1.0, 2.0 * share) if shortened else max(0.5 * share, SMALLEST_SHARE)

@@ -25,9 +25,9 @@ steps: its error is shown, nothing is decided by it."""
 def steps_of(assessment: Assessment) -> list[SelectionStep]:
     """The steps after the base: the change of structure where there was one, then the effects, the strongest first.
 
-    The last step has the values of the assessment. Before it effects are lacking, and beside a random force that stands
-    for them a fit need not lower the error of whole runs: there these are fitted, and again from where the step before
-    ended if they end with a larger error than that step.
+    The last step has the values of the assessment. Before it effects are lacking: tyre and effects are fitted to whole
+    runs from the values of the assessment, and again from those of the step before if they end with a larger error than
+    that step. The constants of the vehicle are those of the assessment throughout.
     """
     names: list[tuple[str, tuple[str, ...]]] = []
     candidate_set = assessment.candidate_set
@@ -59,14 +59,17 @@ class _FittedStep(NamedTuple):
 
 
 def _fitted(assessment: Assessment, effects: tuple[str, ...], before: _FittedStep | None) -> _FittedStep:
-    candidate_set = assessment.candidate_set
-    values, converged = assessment.fit_with(effects)
-    known = dict(zip(assessment.search.model.names, map(float, values), strict=True))
+    candidate_set, model = assessment.candidate_set, assessment.search.model
     free = candidate_set.free([*assessment.base, *effects])
-    problem = _problem(candidate_set, known)
-    if effects == assessment.effects or len(free) > problem.width:
+    values = assessment.values
+    for absent in set(model.candidates) - set(effects):
+        columns = list(model.candidates[absent])
+        values[columns] = model.neutral[columns]
+    known = dict(zip(model.names, map(float, values), strict=True))
+    if effects == assessment.effects:
+        problem = _problem(candidate_set, known, free)
         settings = candidate_set.problem.values() | {n: known[n] for n in free}
-        return _FittedStep(problem, known, problem.fit(settings, (), candidate_set.train), converged)
+        return _FittedStep(problem, known, problem.fit(settings, (), candidate_set.train), assessment.converged)
     fitted = _to_whole_runs(candidate_set, known, free)
     if before is not None and not fitted.solution.misfit < before.solution.misfit:
         # The step before is a special case of this model: from there the error can only fall.
@@ -76,7 +79,7 @@ def _fitted(assessment: Assessment, effects: tuple[str, ...], before: _FittedSte
 
 def _to_whole_runs(candidate_set: CandidateSet, known: dict[str, float], free: list[str]) -> _FittedStep:
     """The parameters `free` fitted to whole train runs from the values `known`."""
-    problem = _problem(candidate_set, known)
+    problem = _problem(candidate_set, known, free)
     settings = candidate_set.problem.values() | {n: candidate_set.off_zero(n, known[n]) for n in free}
     solution = problem.fit(settings, free, candidate_set.train, crawl=CRAWL, most=MOST)
     reached = {n: solution.values.get(n, value) for n, value in known.items()}
@@ -112,11 +115,12 @@ def _step(assessment: Assessment, name: str, effects: tuple[str, ...], fitted_st
     )
 
 
-def _problem(candidate_set: CandidateSet, known: dict[str, float]) -> Problem:
-    """The problem of whole runs with the constants of the vehicle at the values `known`."""
+def _problem(candidate_set: CandidateSet, known: dict[str, float], free: list[str]) -> Problem:
+    """The problem of whole runs with the constants of the vehicle at the values `known`, and room for `free`."""
     constants = {name: np.asarray(value) for name, value in known.items() if name.startswith("board.")}
     problem = candidate_set.problem
-    return dataclasses.replace(problem, model=with_parameters(problem.model, constants))
+    width = max(problem.width, len(free))
+    return dataclasses.replace(problem, model=with_parameters(problem.model, constants), width=width)
 
 
 def _ranking(
