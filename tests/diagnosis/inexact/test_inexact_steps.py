@@ -42,12 +42,10 @@ def test_a_step_before_the_last_starts_at_the_values_of_the_assessment(
     class Assessed(SimpleNamespace):
         values = property(lambda self: np.array([6.0, 7.5, 0.1, 0.2, 0.9]))
 
+    events: list[str] = []
+    search = SimpleNamespace(model=model, progress=lambda event: events.append(str(event)))
     assessment: Any = Assessed(
-        base=(),
-        effects=("a", "b", "c"),
-        candidate_set=candidate_set,
-        converged=True,
-        search=SimpleNamespace(model=model),
+        base=(), effects=("a", "b", "c"), candidate_set=candidate_set, converged=True, search=search
     )
     monkeypatch.setattr(steps, "_to_whole_runs", to_whole_runs)
     monkeypatch.setattr(steps, "_problem", lambda candidate_set, known, free: Problem())
@@ -55,6 +53,7 @@ def test_a_step_before_the_last_starts_at_the_values_of_the_assessment(
 
     shown: Any = steps.steps_of(assessment)
 
+    assert events == [f"refitting sets of effects on whole runs ({k} of 3)" for k in (1, 2, 3)]
     first = dict(zip(names, (6.0, 7.5, 0.1, 0.0, 1.0), strict=True))
     assert starts[:2] == [first, first | {"effects.b.k": 0.2}]
     assert starts[2:] == ([] if second < 5.0 else [first | {"tyre.D": 7.0}])

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from snakejax.core.parameter import with_parameters
+from snakejax.core.progress import Phase, ProgressEvent
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.dynamics.ports import Delay, Sensor
 from snakejax.estimation.fitted_model import fitted_model
@@ -36,7 +37,8 @@ def steps_of(assessment: Assessment) -> list[SelectionStep]:
     names += [(effect, assessment.effects[: k + 1]) for k, effect in enumerate(assessment.effects)]
     steps: list[SelectionStep] = []
     before: _FittedStep | None = None
-    for name, effects in names:
+    for k, (name, effects) in enumerate(names):
+        assessment.search.progress(ProgressEvent(Phase.REFITTING_SETS, done=k + 1, total=len(names)))
         fitted = _fitted(assessment, effects, before)
         before = fitted if fitted.solution.free else None
         steps.append(_step(assessment, name, effects, fitted))
