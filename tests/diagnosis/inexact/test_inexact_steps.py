@@ -23,7 +23,7 @@ def test_a_step_before_the_last_starts_at_the_values_of_the_assessment(
         def fit(self, settings, free, runs):
             return SimpleNamespace(misfit=1.0, free=free)
 
-    def to_whole_runs(candidate_set, known, free):
+    def to_whole_runs(assessment, known, free):
         starts.append(known)
         reached = known | {"tyre.D": known["tyre.D"] + 1.0}
         return steps._FittedStep(None, reached, SimpleNamespace(misfit=next(misfits), free=free), True)  # type: ignore[arg-type]
@@ -48,7 +48,7 @@ def test_a_step_before_the_last_starts_at_the_values_of_the_assessment(
         base=(), effects=("a", "b", "c"), candidate_set=candidate_set, converged=True, search=search
     )
     monkeypatch.setattr(steps, "_to_whole_runs", to_whole_runs)
-    monkeypatch.setattr(steps, "_problem", lambda candidate_set, known, free: Problem())
+    monkeypatch.setattr(steps, "_problem", lambda assessment, known: Problem())
     monkeypatch.setattr(steps, "_step", lambda assessment, name, effects, fitted: (name, effects, fitted.known))
 
     shown: Any = steps.steps_of(assessment)

@@ -64,7 +64,7 @@ class Assessment(NamedTuple):
     @property
     def values(self) -> np.ndarray:
         """The values (P,) of all parameters with all effects."""
-        return self.search.segments.moved(self.linear.point.values, self.linear.optimum.step)
+        return self.search.values(self.linear)
 
     @property
     def converged(self) -> bool:
@@ -116,7 +116,6 @@ def assess(
     sure = confidence(search, linear, predicted, laws, exact)
     effects = tuple(sorted(sure, key=lambda effect: -sure[effect].cautious_fall))
     problem = linear.under(wide)
-    values = search.segments.moved(linear.point.values, linear.optimum.step)
     search.progress(ProgressEvent(Phase.PREDICTIVE_CHECK))
     best = problem.with_effects(effects)
     gram, _ = gram_matrices(linear.data, wide)
@@ -124,7 +123,7 @@ def assess(
     check = None
     if heldout:
         linearised = likelier_segments if evidence.has_force else simulated_segments
-        unseen = linearised(search, heldout, values, expected)
+        unseen = linearised(search, heldout, search.values(linear), expected)
         check = predictive_check(unseen, best, expected)
         predictions += bands(heldout, unseen, best, predicting)
     floor = np.sqrt((open_loop(linear.data, predicting).rms_sd ** 2).mean(axis=0))

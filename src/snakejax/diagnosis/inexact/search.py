@@ -151,6 +151,10 @@ class Search(NamedTuple):
         z = moved_states(self.segments.cut, linear.point.z, deviation)
         return Point(new, z, linear.point.discrepancy, tuple(effects))
 
+    def values(self, linear: Linear) -> np.ndarray:
+        """The values (P,) of all parameters with all effects of `linear`."""
+        return self.segments.moved(linear.point.values, linear.optimum.step)
+
     @property
     def parts(self) -> tuple:
         """All on which the result of a fit depends beside its start."""

@@ -69,19 +69,19 @@ def _fitted(assessment: Assessment, effects: tuple[str, ...], before: _FittedSte
         values[columns] = model.neutral[columns]
     known = dict(zip(model.names, map(float, values), strict=True))
     if effects == assessment.effects:
-        problem = _problem(candidate_set, known, free)
+        problem = _problem(assessment, known)
         settings = candidate_set.problem.values() | {n: known[n] for n in free}
         return _FittedStep(problem, known, problem.fit(settings, (), candidate_set.train), assessment.converged)
-    fitted = _to_whole_runs(candidate_set, known, free)
+    fitted = _to_whole_runs(assessment, known, free)
     if before is not None and not fitted.solution.misfit < before.solution.misfit:
         # The step before is a special case of this model: from there the error can only fall.
-        fitted = _to_whole_runs(candidate_set, before.known, free)
+        fitted = _to_whole_runs(assessment, before.known, free)
     return fitted
 
 
-def _to_whole_runs(candidate_set: CandidateSet, known: dict[str, float], free: list[str]) -> _FittedStep:
+def _to_whole_runs(assessment: Assessment, known: dict[str, float], free: list[str]) -> _FittedStep:
     """The parameters `free` fitted to whole train runs from the values `known`."""
-    problem = _problem(candidate_set, known, free)
+    candidate_set, problem = assessment.candidate_set, _problem(assessment, known)
     settings = candidate_set.problem.values() | {n: candidate_set.off_zero(n, known[n]) for n in free}
     solution = problem.fit(settings, free, candidate_set.train, crawl=CRAWL, most=MOST)
     reached = {n: solution.values.get(n, value) for n, value in known.items()}
@@ -117,11 +117,12 @@ def _step(assessment: Assessment, name: str, effects: tuple[str, ...], fitted_st
     )
 
 
-def _problem(candidate_set: CandidateSet, known: dict[str, float], free: list[str]) -> Problem:
-    """The problem of whole runs with the constants of the vehicle at the values `known`, and room for `free`."""
+def _problem(assessment: Assessment, known: dict[str, float]) -> Problem:
+    """The problem of whole runs with the constants of the vehicle at the values `known`, and room for the parameters of
+    all effects: one compiled program serves all steps."""
     constants = {name: np.asarray(value) for name, value in known.items() if name.startswith("board.")}
-    problem = candidate_set.problem
-    width = max(problem.width, len(free))
+    problem = assessment.candidate_set.problem
+    width = max(problem.width, len(assessment.candidate_set.free([*assessment.base, *assessment.effects])))
     return dataclasses.replace(problem, model=with_parameters(problem.model, constants), width=width)
 
 
