@@ -15,7 +15,7 @@ from snakejax.diagnosis.inexact.candidate_model import CandidateModel
 from snakejax.diagnosis.inexact.evidence import ModelEvidence
 from snakejax.diagnosis.inexact.explaining import shares_of
 from snakejax.diagnosis.inexact.left_out import LeftOut
-from snakejax.diagnosis.inexact.search import FURTHEST_CONSTANT, FURTHEST_FACTOR, Search
+from snakejax.diagnosis.inexact.search import FURTHEST_CONSTANT, FURTHEST_FACTOR, Linear, Search
 from snakejax.diagnosis.inexact.subsets import (
     Subsets,
     addition_gains,
@@ -204,34 +204,69 @@ def test_a_random_force_that_the_runs_do_not_show_has_no_share(evidence: float, 
 
 
 @pytest.mark.parametrize("simulation_is_likelier", [True, False])
-def test_a_fit_goes_on_along_a_simulation_where_smoothed_states_lead_astray(
+def test_a_step_that_leads_astray_is_taken_along_a_simulation_or_damped(
     monkeypatch: pytest.MonkeyPatch, simulation_is_likelier: bool
 ) -> None:
-    """From smoothed states a step doubles the distance to the optimum at 0; from a simulation, which is `along`, it
-    leads there. A simulation that is less likely, as where a random force acts, is not taken."""
+    """From smoothed states a step goes three times as far as the optimum at 0; from a simulation, which is `along`, it
+    leads there. Where the simulation is less likely, as where a random force acts, half of the step comes nearer."""
+    dampings: list[float] = []
 
-    def linearise(_: Search, point: SimpleNamespace, most: int = 0, data: object = None) -> SimpleNamespace:
-        best = Optimum(0.0, np.array([-point.values[0]]), np.eye(1), (0,))
-        return SimpleNamespace(point=point, optimum=best)
+    class Linearised(SimpleNamespace):
+        optimum = property(lambda self: Optimum(0.0, -self.point.values, np.eye(1), (0,)))
 
-    def stepped(_: Search, linear: SimpleNamespace, step: np.ndarray, effects: tuple[str, ...]) -> SimpleNamespace:
-        values = linear.point.values
-        return at(values + step if linear.point.along else 2.0 * values)
+        def damped_step(self, damping: float) -> np.ndarray:
+            dampings.append(damping)
+            return -self.point.values / (1.0 + damping)
+
+        def more(self, damping: float) -> float:
+            return 10.0 * damping or 1.0
+
+        def after(self, damping: float, ratio: float) -> float:
+            return damping
+
+    def stepped(_: Search, linear: Linearised, step: np.ndarray, effects: tuple[str, ...]) -> SimpleNamespace:
+        return at(linear.point.values + (step if linear.point.along else 3.0 * step))
 
     def at(values: np.ndarray, along: bool = False) -> SimpleNamespace:
         point = SimpleNamespace(values=values, along=along)
         point._replace = lambda **changes: at(changes["values"], point.along)
         return point
 
-    monkeypatch.setattr(Search, "linearise", linearise)
+    def likelier(_: Search, trial: SimpleNamespace, linear: Linearised) -> tuple[object, float] | None:
+        falls = abs(trial.values[0]) < abs(linear.point.values[0])
+        return (None, 0.8) if falls or (trial.along and simulation_is_likelier) else None
+
+    monkeypatch.setattr(Search, "linearise", lambda _, point, most=0, data=None: Linearised(point=point))
     monkeypatch.setattr(Search, "stepped", stepped)
-    monkeypatch.setattr(Search, "_likelier_data", lambda _, point, linear: point if simulation_is_likelier else None)
+    monkeypatch.setattr(Search, "_likelier", likelier)
     monkeypatch.setattr(Search, "along_simulation", lambda _, point: at(point.values, along=True))
     model = SimpleNamespace(candidates={}, probes={})
     search = Search(SimpleNamespace(), model, SimpleNamespace())  # type: ignore[arg-type]
     end: Any = search._refitted(at(np.array([8.0])), ()).point  # type: ignore[arg-type]
+    assert abs(end.values[0]) < 0.3
     assert end.along is simulation_is_likelier
-    assert bool(abs(end.values[0]) < 0.3) is simulation_is_likelier
+    assert dampings == [0.0, 0.0] if simulation_is_likelier else [0.0, *[1.0] * 5]
+
+
+def test_damping_halves_the_step_of_which_the_recordings_say_least() -> None:
+    """The residuals y - D d with two columns that are nearly one: at first the step along their difference is halved,
+    that along their sum hardly changes. What a step did decides what comes next."""
+    both, apart = np.array([1.0, 1.0, 0.0]) / np.sqrt(2), np.array([1.0, -1.0, 0.0]) / np.sqrt(2)
+    D = 1e3 * np.column_stack([both + 0.01 * apart, both - 0.01 * apart])
+    columns = np.column_stack([D @ np.array([0.4, 0.1]), D])
+    prior, wide = Prior(np.zeros(2), np.full(2, 1e-12)), np.full(2, np.inf)
+    subsets = Subsets(columns.T @ columns, (0, 1), OrderedDict(), prior, -wide, wide)
+    linear = Linear(SimpleNamespace(effects=()), None, None, subsets)  # type: ignore[arg-type]
+    assert linear.damped_step(0.0) == pytest.approx([0.4, 0.1])
+    least = linear.more(0.0)
+    step = linear.damped_step(least)
+    assert step[0] - step[1] == pytest.approx(0.15, rel=1e-3)
+    assert step.sum() == pytest.approx(0.5, rel=1e-3)
+    assert linear.more(least) == pytest.approx(10.0 * least)
+    ratios = {0.0: 2.0, 0.25: 1.125, 0.5: 1.0, 1.0: 1 / 3}
+    assert [linear.after(least, ratio) / least for ratio in ratios] == pytest.approx(list(ratios.values()))
+    assert linear.after(0.0, 0.25) == pytest.approx(1.125 * least)
+    assert linear.after(0.0, 0.9) == linear.after(0.2 * least, 1.0) == 0.0
 
 
 @pytest.mark.parametrize("excluded", [3e-4, 4e-3, 1.0])

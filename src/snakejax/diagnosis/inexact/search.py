@@ -20,10 +20,11 @@ from snakejax.estimation.discrepancy.kalman import (
     segment_data,
     smooth,
 )
-from snakejax.estimation.discrepancy.least_squares import Optimum, Prior
+from snakejax.estimation.discrepancy.least_squares import Optimum, Prior, quadratic
 from snakejax.estimation.discrepancy.segments import Segments
 from snakejax.estimation.discrepancy.strength import Scales, estimate_discrepancy
 from snakejax.estimation.fit_journal import kept
+from snakejax.estimation.multiple_shooting import GROWTH, damping_factor
 
 from ..selection.criteria import CRITERIA, SelectionCriteria
 from .candidate_model import CandidateModel
@@ -33,12 +34,13 @@ TYRE_ROUNDS = 2
 """Rounds in which only the tyre and the constants move, beside a free force."""
 SEARCH_ROUNDS = 5
 """Rounds in which effects are chosen anew."""
-REFIT_ROUNDS = 10
-"""Rounds of a fit of one set of effects, at most."""
+REFIT_ROUNDS = 15
+"""Steps of a fit of one set of effects that are tried, at most."""
 ROUGH, FINE = 8, 40
 """Iterations of the discrepancy while effects are chosen, and where a set of them is fitted, at most."""
-SMALLEST_SHARE = 0.25
-"""Least share of a step that is taken along a curved valley."""
+LEAST_FALL = 1 / 3
+"""The damping falls to this share after a step that did what the linear problem promised: in a valley that bends the
+next step would be too long without any."""
 ARRIVED = 0.3
 """A fit has converged where its step is shorter than this many standard deviations (Mahalanobis distance)."""
 TYRE_STEP = 0.5
@@ -74,6 +76,31 @@ class Linear(NamedTuple):
     def optimum(self) -> Optimum:
         """The optimum with the effects of the point."""
         return self.subsets.with_effects(self.point.effects)
+
+    def damped_step(self, damping: float) -> np.ndarray:
+        """The step (P,) to the optimum with `damping` (Levenberg and Marquardt): each parameter is pulled to where it
+        is by that share of what the recordings say of it alone."""
+        pull = np.diag(np.concatenate([[0.0], np.diag(self.subsets.gram)[1:]]))
+        return self.subsets.with_effects(self.point.effects, self.subsets.gram + damping * pull).step
+
+    def more(self, damping: float) -> float:
+        """The damping after a step in vain: at first that which halves the step along the combination of parameters of
+        which the recordings say least."""
+        return GROWTH * damping or self._least_damping
+
+    def after(self, damping: float, ratio: float) -> float:
+        """The damping after a step that did the share `ratio` of what the linear problem promised: by a factor of
+        `LEAST_FALL` to 2 (Nielsen 1999), and none where it is negligible."""
+        least = self._least_damping
+        new = max(damping, 0.0 if ratio > 0.5 else least) * max(LEAST_FALL, float(damping_factor(ratio)))
+        return new if new > least / GROWTH else 0.0
+
+    @property
+    def _least_damping(self) -> float:
+        """The least eigenvalue of the normal equations, scaled to a unit diagonal."""
+        columns = np.array(self.optimum.free, int) + 1
+        alone = 1.0 / np.sqrt(np.maximum(np.diag(self.subsets.gram)[columns], 1e-300))
+        return float(1.0 / np.linalg.eigvalsh(self.optimum.covariance / np.outer(alone, alone))[-1])
 
     def under(self, discrepancy: Discrepancy) -> Subsets:
         """The problem under another discrepancy."""
@@ -195,42 +222,44 @@ class Search(NamedTuple):
                     values[k] = self.model.probes[k]
         point = point._replace(values=values, effects=tuple(effects))
         linear = self.linearise(point, most=FINE)
-        share, simulated = 1.0, False
+        damping, simulated, is_new = 0.0, False, True
         for _ in range(REFIT_ROUNDS):
-            before = distance(linear.optimum)
-            if before < ARRIVED:
+            if distance(linear.optimum) < ARRIVED:
                 break
-            point = self.stepped(linear, share * linear.optimum.step, effects)
+            trial = self.stepped(linear, linear.damped_step(damping), effects)
             if simulated:
-                point = self.along_simulation(point)
-            try:
-                further = self.linearise(point, most=FINE)
-            except FitError:
-                # Too far: the step is taken again, half as long.
-                share = max(0.5 * share, SMALLEST_SHARE)
+                trial = self.along_simulation(trial)
+            likelier = self._likelier(trial, linear)
+            if likelier is not None:
+                data, ratio = likelier
+                damping, is_new = linear.after(damping, ratio), True
+                linear = self.linearise(trial, most=FINE, data=data)
                 continue
-            # In a linear problem a share of the step leaves 1 - share of the distance. Along a curved valley whole
-            # steps go to and fro.
-            shortened = distance(further.optimum) < (1.0 - 0.5 * share) * before
-            if not (shortened or simulated):
-                along = self.along_simulation(linear.point)
-                data = self._likelier_data(along, linear)
-                if data is not None:
-                    linear, share, simulated = self.linearise(along, most=FINE, data=data), 1.0, True
-                    continue
-            linear = further
-            share = min(1.0, 2.0 * share) if shortened else max(0.5 * share, SMALLEST_SHARE)
+            # The step leads astray: because of states that no simulation has, or because it is too long.
+            along = self.along_simulation(linear.point) if is_new and not simulated else None
+            likelier = None if along is None else self._likelier(along, linear)
+            if along is not None and likelier is not None:
+                linear, damping, simulated = self.linearise(along, most=FINE, data=likelier[0]), 0.0, True
+            else:
+                damping, is_new = linear.more(damping), False
         return linear
 
-    def _likelier_data(self, point: Point, linear: Linear) -> SegmentData | None:
-        """The arrays at `point`; None unless the recordings are likelier there than at `linear`, under one
-        discrepancy."""
+    def _likelier(self, trial: Point, linear: Linear) -> tuple[SegmentData, float] | None:
+        """The arrays at `trial`, and by how much -2 log likelihood fell, as a share of what the linear problem
+        promised; None unless it fell, under the discrepancy of `linear`, with the priors counted."""
         try:
-            data = self.data(point)
+            data = self.data(trial)
         except FitError:
             return None
-        likelier = deviance(data, point.discrepancy) < deviance(linear.data, point.discrepancy)
-        return data if likelier else None
+        before, point = self.prior_at(linear.point.values), linear.point
+        taken, free = self.segments.step_between(point.values, trial.values), self.model.free(point.effects)
+        prior = before.chi2(taken, free) - before.chi2(np.zeros_like(taken), free)
+        fall = deviance(linear.data, point.discrepancy) - deviance(data, point.discrepancy) - prior
+        if not fall > 0.0:
+            return None
+        gram = linear.subsets.gram
+        promise = quadratic(gram, np.zeros_like(taken)) - quadratic(gram, taken) - prior
+        return data, fall / max(promise, fall)
 
     def along_simulation(self, point: Point) -> Point:
         """`point` with the states of whole simulated runs.

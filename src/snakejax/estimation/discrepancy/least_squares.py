@@ -13,6 +13,10 @@ class Prior(NamedTuple):
     mean: Float[np.ndarray, " P"]
     precision: Float[np.ndarray, " P"]
 
+    def chi2(self, step: Float[np.ndarray, " P"], some: Float[np.ndarray, " k"]) -> float:
+        """The part in chi^2 of the `step` of the parameters numbered `some`."""
+        return float((self.precision[some] * (step[some] - self.mean[some]) ** 2).sum())
+
 
 class Optimum(NamedTuple):
     """`chi2`, the prior's part in it; the `step` (P,) of all parameters; `covariance` (k, k) of those in `free`."""
