@@ -218,10 +218,10 @@ def test_a_step_that_leads_astray_is_taken_along_a_simulation_or_damped(
             dampings.append(damping)
             return -self.point.values / (1.0 + damping)
 
-        def more(self, damping: float) -> float:
+        def increased(self, damping: float) -> float:
             return 10.0 * damping or 1.0
 
-        def after(self, damping: float, ratio: float) -> float:
+        def adapted(self, damping: float, ratio: float) -> float:
             return damping
 
     def stepped(_: Search, linear: Linearised, step: np.ndarray, effects: tuple[str, ...]) -> SimpleNamespace:
@@ -258,15 +258,15 @@ def test_damping_halves_the_step_of_which_the_recordings_say_least() -> None:
     subsets = Subsets(columns.T @ columns, (0, 1), OrderedDict(), prior, -wide, wide)
     linear = Linear(SimpleNamespace(effects=()), None, None, subsets)  # type: ignore[arg-type]
     assert linear.damped_step(0.0) == pytest.approx([0.4, 0.1])
-    least = linear.more(0.0)
+    least = linear.increased(0.0)
     step = linear.damped_step(least)
     assert step[0] - step[1] == pytest.approx(0.15, rel=1e-3)
     assert step.sum() == pytest.approx(0.5, rel=1e-3)
-    assert linear.more(least) == pytest.approx(10.0 * least)
+    assert linear.increased(least) == pytest.approx(10.0 * least)
     ratios = {0.0: 2.0, 0.25: 1.125, 0.5: 1.0, 1.0: 1 / 3}
-    assert [linear.after(least, ratio) / least for ratio in ratios] == pytest.approx(list(ratios.values()))
-    assert linear.after(0.0, 0.25) == pytest.approx(1.125 * least)
-    assert linear.after(0.0, 0.9) == linear.after(0.2 * least, 1.0) == 0.0
+    assert [linear.adapted(least, ratio) / least for ratio in ratios] == pytest.approx(list(ratios.values()))
+    assert linear.adapted(0.0, 0.25) == pytest.approx(1.125 * least)
+    assert linear.adapted(0.0, 0.9) == linear.adapted(0.2 * least, 1.0) == 0.0
 
 
 @pytest.mark.parametrize("excluded", [3e-4, 4e-3, 1.0])

@@ -83,12 +83,12 @@ class Linear(NamedTuple):
         pull = np.diag(np.concatenate([[0.0], np.diag(self.subsets.gram)[1:]]))
         return self.subsets.with_effects(self.point.effects, self.subsets.gram + damping * pull).step
 
-    def more(self, damping: float) -> float:
+    def increased(self, damping: float) -> float:
         """The damping after a step in vain: at first that which halves the step along the combination of parameters of
         which the recordings say least."""
         return GROWTH * damping or self._least_damping
 
-    def after(self, damping: float, ratio: float) -> float:
+    def adapted(self, damping: float, ratio: float) -> float:
         """The damping after a step that did the share `ratio` of what the linear problem promised: by a factor of
         `LEAST_FALL` to 2 (Nielsen 1999), and none where it is negligible."""
         least = self._least_damping
@@ -232,7 +232,7 @@ class Search(NamedTuple):
             likelier = self._likelier(trial, linear)
             if likelier is not None:
                 data, ratio = likelier
-                damping, is_new = linear.after(damping, ratio), True
+                damping, is_new = linear.adapted(damping, ratio), True
                 linear = self.linearise(trial, most=FINE, data=data)
                 continue
             # The step leads astray: because of states that no simulation has, or because it is too long.
@@ -241,7 +241,7 @@ class Search(NamedTuple):
             if along is not None and likelier is not None:
                 linear, damping, simulated = self.linearise(along, most=FINE, data=likelier[0]), 0.0, True
             else:
-                damping, is_new = linear.more(damping), False
+                damping, is_new = linear.increased(damping), False
         return linear
 
     def _likelier(self, trial: Point, linear: Linear) -> tuple[SegmentData, float] | None:
