@@ -311,7 +311,9 @@ def test_only_an_exact_model_bounds_the_unknown_force_by_what_recordings_exclude
         (900.0, 90.0, 0.2, True),
         (90.0, 900.0, 0.2, False),
         (90.0, 900.0, 1.9, True),
-        (0.0, 900.0, 1.9, False),
+        (0.0, 900.0, 1.9, True),
+        (0.0, 900.0, 0.2, False),
+        (0.0, 0.0, 1.9, False),
     ],
 )
 def test_noise_that_wanders_as_that_of_cameras_does_makes_no_law_of_a_small_force(

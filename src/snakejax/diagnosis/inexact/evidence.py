@@ -36,12 +36,13 @@ class ModelEvidence(NamedTuple):
 
     @property
     def suggests_law(self) -> bool:
-        """Whether a random force stands in for a law, with which there may be nothing but white noise.
+        """Whether a random force, or noise, stands in for a law, with which there may be nothing but white noise.
 
         What the force cannot follow of a law seems to be noise that wanders. It matters less than the force does, or
-        drifts on and on, as cameras do not.
+        drifts on and on, as cameras do not; then it may stand in for all of the law.
         """
-        return self.has_force and (self.drifting or self.force > self.wandering)
+        drifts = self.drifting and (self.has_force or self.noise_wanders)
+        return drifts or (self.has_force and self.force > self.wandering)
 
     @property
     def exact(self) -> bool:
