@@ -148,8 +148,10 @@ def test_an_error_is_raised_each_time_and_nothing_is_kept(folder) -> None:
     assert not list(folder.glob(f"*{SUFFIX}"))
 
 
-def test_without_a_folder_it_is_compiled_all_the_same(folder) -> None:
-    jax.config.update("jax_compilation_cache_dir", None)
+@pytest.mark.parametrize("name", [None, ""])
+def test_without_a_folder_it_is_compiled_all_the_same(folder, monkeypatch, name: str | None) -> None:
+    monkeypatch.chdir(folder)
+    jax.config.update("jax_compilation_cache_dir", name)
     program = KeptProgram(curve, Curve)
     np.testing.assert_allclose(program(jnp.asarray(3.0), 1, X).value, 3 * X)
     np.testing.assert_allclose(program(jnp.asarray(4.0), 1, X).value, 4 * X)

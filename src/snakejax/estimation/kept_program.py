@@ -88,7 +88,8 @@ class KeptProgram:
         """`flat`, of the folder if it is there, else traced now and written there."""
         folder = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
         parts = jax.tree.map(lambda leaf: repr(_shape(leaf)) if eqx.is_array(leaf) else leaf, args)
-        if folder is None or user_classes(args) or not has_digest(parts):
+        # An empty environment variable gives an empty name: that is no folder, and not the present one.
+        if not folder or user_classes(args) or not has_digest(parts):
             return flat
         name = f"{self.function.__module__}.{self.function.__qualname__}"
         path = Path(folder) / f"{fingerprint(name, _environment(), parts)}{SUFFIX}"
