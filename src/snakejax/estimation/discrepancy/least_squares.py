@@ -13,7 +13,7 @@ class Prior(NamedTuple):
     mean: Float[np.ndarray, " P"]
     precision: Float[np.ndarray, " P"]
 
-    def chi2(self, step: Float[np.ndarray, " P"], some: Float[np.ndarray, " k"]) -> float:
+    def chi2(self, step: Float[np.ndarray, " P"], some: Sequence[int] | np.ndarray) -> float:
         """The part in chi^2 of the `step` of the parameters numbered `some`."""
         return float((self.precision[some] * (step[some] - self.mean[some]) ** 2).sum())
 
@@ -70,7 +70,7 @@ def optimum(
             step[loose] = move
             chi2 = weights @ left - right @ move + (prior.precision * prior.mean**2)[loose].sum()
             held = [column for column in free if column not in loose]
-            chi2 += (prior.precision[held] * (step[held] - prior.mean[held]) ** 2).sum()
+            chi2 += prior.chi2(step, held)
             return Optimum(float(chi2), step, inverse, tuple(loose))
         sd = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
         worst = max(beyond, key=lambda k: excess[k] / sd[k])
