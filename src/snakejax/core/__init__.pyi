@@ -12,3 +12,5 @@ from .parameter import with_parameters as with_parameters
 from .progress import Phase as Phase
 from .progress import Progress as Progress
 from .progress import ProgressEvent as ProgressEvent
+from .smooth_functions import spline as spline
+from .smooth_functions import surface as surface

@@ -2,13 +2,17 @@
 
 import ast
 import functools
+import math
 from collections.abc import Mapping
 from typing import Any
 
 from .errors import InputError
+from .smooth_functions import spline, surface
 
 FUNCTIONS = ("sin", "cos", "tanh", "exp", "abs", "sign", "sqrt", "clip")
-"""The functions that a formula may call; `clip(v, low, high)`."""
+"""The functions of a library of arrays that a formula may call; `clip(v, low, high)`."""
+SMOOTH_FUNCTIONS = {"spline": spline, "surface": surface}
+"""The smooth functions through values at knots that it may call, see `core.smooth_functions`."""
 
 _OPERATORS = {
     ast.Add: lambda a, b: a + b,
@@ -23,7 +27,8 @@ _OPERATORS = {
 def parsed(text: str) -> ast.expr:
     """The tree of one formula such as `-k * (x - x0)`, in Python's notation; the same tree for the same text.
 
-    **Raises:** `InputError` for anything but names, numbers, + - * / **, and calls of `FUNCTIONS`.
+    **Raises:** `InputError` for anything but names, numbers, + - * / **, and calls of `FUNCTIONS` and
+    `SMOOTH_FUNCTIONS`.
     """
     try:
         tree = ast.parse(text.strip(), mode="eval").body
@@ -32,13 +37,15 @@ def parsed(text: str) -> ast.expr:
     for node in ast.walk(tree):
         if not _admissible(node):
             what = f"`{text}` has a part that no formula may have: {type(node).__name__}"
-            raise InputError(what, "expression", f"use names, numbers, + - * / ** and {', '.join(FUNCTIONS)}")
+            raise InputError(
+                what, "expression", f"use names, numbers, + - * / ** and {', '.join((*FUNCTIONS, *SMOOTH_FUNCTIONS))}"
+            )
     return tree
 
 
 def _admissible(node: ast.AST) -> bool:
     if isinstance(node, ast.Call):
-        return isinstance(node.func, ast.Name) and node.func.id in FUNCTIONS and not node.keywords
+        return isinstance(node.func, ast.Name) and not node.keywords and _callable(node.func.id, len(node.args))
     if isinstance(node, ast.Constant):
         return isinstance(node.value, int | float) and not isinstance(node.value, bool)
     if isinstance(node, ast.BinOp):
@@ -49,6 +56,15 @@ def _admissible(node: ast.AST) -> bool:
     if isinstance(node, ast.UnaryOp):
         return isinstance(node.op, ast.USub)
     return isinstance(node, ast.Name | ast.Load | ast.operator | ast.unaryop)
+
+
+def _callable(name: str, arguments: int) -> bool:
+    """Whether a formula may call a function with so many arguments."""
+    if name == "spline":
+        return arguments >= 5
+    if name == "surface":
+        return arguments >= 10 and math.isqrt(arguments - 6) ** 2 == arguments - 6
+    return name in FUNCTIONS
 
 
 def names_in(tree: ast.expr) -> tuple[str, ...]:
@@ -68,7 +84,9 @@ def evaluated(tree: ast.expr, values: Mapping[str, Any], library: Any) -> Any:
         return -evaluated(tree.operand, values, library)
     if isinstance(tree, ast.Call):
         given = [evaluated(part, values, library) for part in tree.args]
-        return getattr(library, tree.func.id)(*given)  # type: ignore[union-attr]
+        name: str = tree.func.id  # type: ignore[union-attr]
+        smooth = SMOOTH_FUNCTIONS.get(name)
+        return getattr(library, name)(*given) if smooth is None else smooth(*given, library=library)
     assert isinstance(tree, ast.BinOp)
     left = evaluated(tree.left, values, library)
     if isinstance(tree.op, ast.Pow):

@@ -11,7 +11,7 @@ from .diagnosing import BaseDiagnosis
 from .exact_explanation import exact_explanation, leaves_only_noise
 from .explanation import Explanation
 from .latent_force.missing_force import LatentForce, choose_structure, estimate_latent_force
-from .law.adding import best_laws, exact_law
+from .law.adding import AddedLaws, best_laws, exact_law, exact_smooth_law
 from .law.known_effects import known_effects_beside, law_beside_effects
 from .selection.candidates import CandidateFit
 from .selection.ranking import trial_order
@@ -43,11 +43,18 @@ def with_laws(
 
 
 def by_exact_law(case: Case, noise: Noise, diagnosis: BaseDiagnosis, progress: Progress) -> Explanation | None:
-    """The explanation by one law, alone or beside a known effect, with which only noise is left, in held-out runs too:
-    it needs no random force."""
+    """The explanation by one law, with which only noise is left, in held-out runs too: it needs no random force. By a
+    formula, alone or beside a known effect; else by a smooth function."""
     missing = latent_force_of(diagnosis, diagnosis.base, progress)
-    alone = _with_exact_law(case, noise, diagnosis, _structure_of(diagnosis, missing), missing, progress)
-    return by_exact_law_beside(case, noise, diagnosis, progress) if alone is None else alone
+    like = _structure_of(diagnosis, missing)
+    law = exact_law(case, noise, like, missing, progress)
+    explanation = _by_law(case, noise, diagnosis, like, law, missing)
+    if explanation is None:
+        explanation = by_exact_law_beside(case, noise, diagnosis, progress)
+    if explanation is None:
+        law = exact_smooth_law(case, noise, like, missing, progress)
+        explanation = _by_law(case, noise, diagnosis, like, law, missing)
+    return explanation
 
 
 def by_exact_law_beside(case: Case, noise: Noise, diagnosis: BaseDiagnosis, progress: Progress) -> Explanation | None:
@@ -60,17 +67,22 @@ def by_exact_law_beside(case: Case, noise: Noise, diagnosis: BaseDiagnosis, prog
         step = CandidateFit((*base.step.effects, effect), refit)
         known = selection_step(base.candidate_set, "added", effect, step)
         missing = estimate_latent_force(base.candidate_set, step, progress).with_laws()
-        explanation = _with_exact_law(case, noise, diagnosis, known, missing, progress)
+        law = exact_law(case, noise, known, missing, progress)
+        explanation = _by_law(case, noise, diagnosis, known, law, missing)
         if explanation is not None:
             return explanation
     return None
 
 
-def _with_exact_law(
-    case: Case, noise: Noise, diagnosis: BaseDiagnosis, like: WorkingStep, missing: LatentForce, progress: Progress
+def _by_law(
+    case: Case,
+    noise: Noise,
+    diagnosis: BaseDiagnosis,
+    like: WorkingStep,
+    law: AddedLaws | None,
+    missing: LatentForce,
 ) -> Explanation | None:
-    """The explanation by the step `like` and a law of `missing`, with which only noise is left; None without one."""
-    law = exact_law(case, noise, like, missing, progress)
+    """The explanation by the step `like` and a `law` of `missing`, where only noise is left; None where it is not."""
     if law is None:
         return None
     added = selection_step(law.candidate_set, "added", law.names[0], law.fit)

@@ -30,7 +30,7 @@ def proposal(whole: bool = False) -> Proposal:
     values, none = {"a": 0.01, "f": 0.002, "k": 9.0}, np.zeros(0)
     law = ProposedLaw(family.expression(), parameters, values, family, none, 1.0, 1.0, none)
     weak: Any = None
-    return Proposal(weak, law, 1300, 1.0)
+    return Proposal(weak, law, 1.0)
 
 
 def linear_problem() -> tuple[Linear, LeftOut]:

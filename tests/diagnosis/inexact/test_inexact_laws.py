@@ -49,7 +49,7 @@ def test_the_best_of_many_forms_is_taken_by_chance_as_often_as_the_level_says() 
 def proposal(expression: str, action: str, variables: tuple[str, ...], penalised: float) -> Proposal:
     family, none = Family("", action, variables, (Term("a", {}, ((action, expression),)),)), np.zeros(0)
     law = ProposedLaw(expression, (), {}, family, none, 1.0, penalised, none)
-    return Proposal(None, law, 1, penalised)  # type: ignore[arg-type]
+    return Proposal(None, law, penalised)  # type: ignore[arg-type]
 
 
 ERRORS = np.full(3, 10.0)

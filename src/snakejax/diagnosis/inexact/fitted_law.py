@@ -25,12 +25,11 @@ WIDE = 3.0
 
 
 class Proposal(NamedTuple):
-    """A `law` that the segments propose, the best of `forms`, beside the effects of `weak`. `penalised`: chi^2 on runs
-    left out with it, and what its parameters and the effects cost."""
+    """A `law` that the segments propose beside the effects of `weak`. `penalised`: chi^2 on runs left out with it, and
+    what its parameters and the effects cost."""
 
     weak: Linear
     law: ProposedLaw
-    forms: int
     penalised: float
 
     @property
@@ -159,15 +158,17 @@ def search_with(
     segments = Segments(model, search.segments.runs, movable_parameters(model, own.tyre, own.candidates, base))
     priors = candidate_model(model, own.tyre, own.candidates, base, search.scales, case.constant_sd)
     priors = _with_wide_priors(priors, name, law)
-    return own, search._replace(segments=segments, model=priors, trials={name: proposal.forms})
+    return own, search._replace(segments=segments, model=priors, trials={name: law.forms})
 
 
 def _with_wide_priors(model: CandidateModel, name: str, law: ProposedLaw) -> CandidateModel:
-    """`model` with weak priors of the numbers of a law: each is of the size that the segments say."""
+    """`model` with weak priors of the numbers of a law: each is of the size that the segments say, those of a smooth
+    function of the size of the largest."""
     sd = model.sd.copy()
+    least = max(abs(value) for value in law.values.values()) if law.family.together else 1e-3
     for k in model.candidates[name]:
         value = law.values[model.names[k].rsplit(".", 1)[-1]]
-        sd[k] = WIDE * max(abs(value), 1e-3)
+        sd[k] = WIDE * max(abs(value), least)
     return model._replace(sd=sd)
 
 

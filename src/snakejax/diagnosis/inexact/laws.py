@@ -14,7 +14,6 @@ import numpy as np
 from snakejax.core.progress import Phase, ProgressEvent
 from snakejax.recording.run import Case, Noise
 
-from ..law.grammar import families
 from ..law.search import search as search_laws
 from ..selection.candidates import CandidateSet
 from .confidence import beside_unknown
@@ -128,7 +127,5 @@ def beside_weaker_force(search: Search, linear: Linear) -> list[Linear]:
 
 def proposed(search: Search, weak: Linear) -> list[Proposal]:
     """The laws that the segments propose beside the effects of `weak`."""
-    windows = force_windows(search, weak)
-    forms = sum(1 for _ in families(windows.ranges(), windows.wheel))
     thresholds = sum(weak.subsets.threshold(effect) for effect in weak.point.effects)
-    return [Proposal(weak, law, forms, law.score + thresholds) for law in search_laws(windows)]
+    return [Proposal(weak, law, law.score + thresholds) for law in search_laws(force_windows(search, weak))]

@@ -2,7 +2,7 @@
 
 import itertools
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -23,10 +23,13 @@ from ..selection.acceptance import accept_addition
 from ..selection.candidates import BaseFit, CandidateFit, CandidateSet
 from ..selection.refit import CRAWL, refit
 from ..selection.working_step import WorkingStep
-from .search import FEWEST_CHI2, ProposedLaw, search
+from .regression import FEWEST_CHI2
+from .search import ProposedLaw, finer, search, smooth_laws
 
 TRIED = 3
 """So many of the laws that the windows propose are fitted to whole runs."""
+SMOOTH_TRIED = 2
+"""So many smooth functions, of other variables each, where no formula leaves only noise of whole runs."""
 RIVAL = 2.0
 """A law whose excess in the windows is above this multiple of the best one's is not fitted to whole runs."""
 SECOND = 0.5
@@ -94,7 +97,10 @@ def fitted_laws(
     missing: LatentForce,
     laws: Sequence[ProposedLaw],
 ) -> tuple[CandidateSet, CandidateFit]:
-    """The model with `effects` and `laws` fitted to whole train runs, from where the windows have it."""
+    """The model with `effects` and `laws` fitted to whole train runs, from where the windows have it.
+
+    **Raises:** `FitError` where these have more parameters than one fit can free.
+    """
     named = dict(zip(law_names(len(laws), like), laws, strict=True))
     built: dict[str, Effect] = {n: law_class(law.expression, law.parameters)() for n, law in named.items()}
     candidate_set = candidate_set_with(case, noise, like, effects, built)
@@ -106,6 +112,8 @@ def fitted_laws(
             values[name] = domain.moved_inside(estimate.value, short)
     values |= {f"effects.{n}.{part}": value for n, law in named.items() for part, value in law.values.items()}
     names = (*effects, *named)
+    if len(candidate_set.free(names)) > candidate_set.problem.width:
+        raise FitError(f"The laws {', '.join(named)} and {', '.join(effects)} have too many parameters to fit.")
     solution = refit(candidate_set, names, values)
     if solution.misfit < candidate_set.criteria.linear_misfit:
         solution = continue_to_convergence(candidate_set.problem, solution, candidate_set.train)
@@ -178,9 +186,6 @@ def best_laws(
     effects = tuple(dict.fromkeys((*like.step.effects, *beside)))
 
     def added(laws: tuple[ProposedLaw, ...]) -> AddedLaws | None:
-        count = len(like.candidate_set.free(effects)) + sum(len(law.parameters) for law in laws)
-        if count > like.candidate_set.problem.width:
-            return None
         texts = " and ".join(law.expression for law in laws)
         progress(ProgressEvent(Phase.LAW_FIT, f"fitting {texts} to whole runs"))
         try:
@@ -206,6 +211,10 @@ def best_laws(
     exact = [trial for trial in trials if consistent_with_noise(trial.fit.solution)]
     if exact:
         return [likeliest(exact)]
+    smooth = _smooth_trials(missing, added)
+    if smooth and consistent_with_noise(smooth[-1].fit.solution):
+        return [smooth[-1]]
+    trials += smooth
     best = min(trials, key=lambda trial: trial.left_out.mean(), default=None)
     if best is None:
         return []
@@ -247,6 +256,50 @@ def likeliest(exact_laws: Sequence[AddedLaws]) -> AddedLaws:
     not differ from it by `FEWEST_CHI2`: of many samples noise may vary by more than what tells a law from another."""
     least = min(one.chi2 for one in exact_laws)
     return min((one for one in exact_laws if one.chi2 - least < FEWEST_CHI2), key=lambda one: (one.size, one.chi2))
+
+
+def exact_smooth_law(
+    case: Case, noise: Noise, like: WorkingStep, missing: LatentForce, progress: Progress
+) -> AddedLaws | None:
+    """A smooth function of one variable or two with which whole train runs leave only noise, added to `like`; None
+    without one."""
+
+    def added(laws: tuple[ProposedLaw, ...]) -> AddedLaws | None:
+        progress(ProgressEvent(Phase.LAW_FIT, f"fitting {laws[0].expression} to whole runs"))
+        try:
+            candidate_set, fit = fitted_laws(case, noise, like.candidate_set, like.step.effects, missing, laws)
+        except FitError:
+            return None
+        return AddedLaws(
+            laws, candidate_set, fit, run_misfits(candidate_set.problem, fit.solution, candidate_set.train)
+        )
+
+    smooth = _smooth_trials(missing, added)
+    return _leaving_only_noise(like, smooth[-1].laws, smooth[-1].candidate_set, smooth[-1].fit) if smooth else None
+
+
+def _smooth_trials(
+    missing: LatentForce, added: Callable[[tuple[ProposedLaw, ...]], AddedLaws | None]
+) -> list[AddedLaws]:
+    """Smooth functions fitted to whole train runs, each through more values as long as they then predict better; the
+    last one is the first that leaves only noise, where one does.
+
+    The windows are short, so that a function of few values may leave only noise in them and more in whole runs.
+    """
+    trials: list[AddedLaws] = []
+    if missing.windows is None:
+        return trials
+    for law in smooth_laws(missing.windows)[:SMOOTH_TRIED]:
+        least = np.inf
+        for one in (law, *finer(missing.windows, law)):
+            trial = added((one,))
+            if trial is None or not trial.left_out.mean() < least:
+                break
+            least = trial.left_out.mean()
+            trials.append(trial)
+            if consistent_with_noise(trial.fit.solution):
+                return trials
+    return trials
 
 
 def _leaving_only_noise(

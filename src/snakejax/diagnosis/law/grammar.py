@@ -6,8 +6,11 @@ A law is a sum of terms, each an amplitude times a product of variables and one 
     X, Y, N, a force in the world  v, v^2, v |v|, 1 and v, tanh(v / s), tanh((v / s)^2), a threshold, a bump,
     drag, dry friction, force      sin and cos of k v, a product of two variables,
     across the velocity, yaw       in the plane a spring to a point, a plane, a bump, a threshold, the slope of a hill,
-    drag, grip, push of a joint    friction in proportion to the distance from a point (a cable dragged along)
+    drag, grip, push of a joint    friction in proportion to the distance from a point (a cable dragged along),
+                                   dry friction that falls with the speed (Stribeck), along the velocity or each axis
                                    (a push is a yaw moment, the acceleration of a joint times a function of that joint)
+
+Where no such form is good enough, see `smooth_forms`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -76,7 +79,8 @@ class Term(NamedTuple):
 class Family(NamedTuple):
     """A form of law: its `terms` are added; `shape` are the parameters inside them. `name` and `variables` tell it.
 
-    `whole`: without one of its terms it is another form, or depends on where the axes of the cameras are.
+    `whole`: without one of its terms it is another form, or depends on where the axes of the cameras are. `together`:
+    the formula of all terms for each component, where that is not their sum written out.
     """
 
     name: str
@@ -85,6 +89,7 @@ class Family(NamedTuple):
     terms: tuple[Term, ...]
     shape: tuple[ShapeParameter, ...] = ()
     whole: bool = False
+    together: tuple[tuple[str, str], ...] = ()
 
     @property
     def size(self) -> int:
@@ -94,10 +99,11 @@ class Family(NamedTuple):
     def expression(self) -> str:
         """`east = a * x; grip = 1 - g * x`."""
         sides: dict[str, str] = {}
-        for term in self.terms:
-            for component, formula in term.formulas:
+        parts = [("", self.together)] if self.together else [(f"{t.amplitude} * ", t.formulas) for t in self.terms]
+        for amplitude, formulas in parts:
+            for component, formula in formulas:
                 negative = formula.startswith("-")
-                text = f"{term.amplitude} * {formula.removeprefix('-')}".removesuffix(" * ")
+                text = f"{amplitude}{formula.removeprefix('-')}".removesuffix(" * ")
                 before = sides.get(component, "1" if component == "grip" else "")
                 sides[component] = (
                     f"{before} {'-' if negative else '+'} {text}" if before else f"{'-' * negative}{text}"
@@ -146,7 +152,8 @@ def _functions(variable: str, interval: Range) -> Iterator[_Function]:
     yield _Function("saturation", ((f"tanh({v} / s)", 0),), (s,))
     yield _Function("even saturation", ((f"tanh(({v} / s) ** 2)", 0),), (s,))
     places = tuple(interval.low + interval.width * part for part in np.linspace(0.08, 0.92, 8))
-    v0 = ShapeParameter("v0", unit, places, interval.low - interval.width, interval.high + interval.width)
+    # Beyond what was seen, the tail of a threshold or bump would stand for a force that nobody knows there.
+    v0 = ShapeParameter("v0", unit, places, interval.low, interval.high)
     widths = tuple(interval.width * part for part in (0.04, 0.1, 0.25))
     width = ShapeParameter("s", unit, widths, 0.005 * interval.width, 5 * interval.width)
     yield _Function("threshold", ((f"(0.5 + 0.5 * tanh(({v} - v0) / s))", 0),), (v0, width))
@@ -157,14 +164,19 @@ def _functions(variable: str, interval: Range) -> Iterator[_Function]:
         yield _Function("wave", ((f"sin(k * {v})", 0), (f"cos(k * {v})", 0)), (k,))
 
 
-def _term(action: Action, amplitude: str, formula: str, unit: Unit) -> Term:
-    """An amplitude so that it times `formula`, which has `unit`, acts."""
+def acting(action: Action, formula: str) -> tuple[tuple[str, str], ...]:
+    """For each component of an `action`, what this multiplies a `formula` by, times it."""
     texts = []
     for component, multiplier in action.components:
         bare = multiplier.removeprefix("-")
         joined = " * ".join(part for part in (bare, formula) if part)
         texts.append((component, "-" * multiplier.startswith("-") + joined))
-    return Term(amplitude, product(action.unit, power(unit, -1)), tuple(texts))
+    return tuple(texts)
+
+
+def _term(action: Action, amplitude: str, formula: str, unit: Unit) -> Term:
+    """An amplitude so that it times `formula`, which has `unit`, acts."""
+    return Term(amplitude, product(action.unit, power(unit, -1)), acting(action, formula))
 
 
 def families(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]:
@@ -193,6 +205,20 @@ def families(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]
             yield Family("sum", action.name, (one, other), parts, whole=True)
     if "x" in ranges and "y" in ranges:
         yield from _in_the_plane(ranges)
+    if {"u", "speed"} <= set(ranges):
+        yield from _stribeck(ranges["speed"].largest)
+
+
+def _stribeck(fastest: float) -> Iterator[Family]:
+    """Dry friction of the body that falls from a + b at rest to a at speed, along the velocity or along each axis."""
+    unit: Unit = {"m": 1, "s": -1}
+    v0 = ShapeParameter("v0", unit, tuple(fastest * part for part in (0.1, 0.2, 0.4)), 0.01 * fastest, 5 * fastest)
+    s = ShapeParameter("s", unit, tuple(fastest * part for part in (0.02, 0.08, 0.3)), 0.005 * fastest, 5 * fastest)
+    along_axes = (("X", "-tanh(u / s)"), ("Y", "-tanh(w / s)"))
+    for name, sides, shape in (("friction", DRY_FRICTION, (v0,)), ("friction of each axis", along_axes, (s, v0))):
+        falling = tuple((side, f"{against} * exp(-(speed / v0) ** 2)") for side, against in sides)
+        terms = (Term("a", NEWTON, sides), Term("b", NEWTON, falling))
+        yield Family(f"falling {name}", "friction", ("speed",), terms, shape)
 
 
 def _pushes(accelerations: Sequence[str], ranges: dict[str, Range]) -> Iterator[Family]:

@@ -3,7 +3,7 @@
 import ast
 from collections.abc import Sequence
 
-from snakejax.core.formula import FUNCTIONS, names_in
+from snakejax.core.formula import FUNCTIONS, SMOOTH_FUNCTIONS, names_in
 from snakejax.core.parameter import own_parameters
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.dynamics.law import VARIABLES, WHEEL_VARIABLES, GripLaw, Law
@@ -82,11 +82,17 @@ def _returned(law: Law) -> list[str]:
 
 
 def _code(tree: ast.expr, parameters: set[str]) -> str:
-    """A formula as code: parameters are those of the effect, functions those of JAX."""
+    """A formula as code: parameters are those of the effect, functions those of JAX and of the package."""
 
     class Renamed(ast.NodeTransformer):
         def visit_Name(self, node: ast.Name) -> ast.expr:
-            owner = "self" if node.id in parameters else "jnp" if node.id in FUNCTIONS else None
+            owners = {**dict.fromkeys(FUNCTIONS, "jnp"), **dict.fromkeys(SMOOTH_FUNCTIONS, "sj.core")}
+            owner = "self" if node.id in parameters else owners.get(node.id)
             return node if owner is None else ast.Attribute(ast.Name(owner, ast.Load()), node.id, ast.Load())
+
+        def visit_Call(self, node: ast.Call) -> ast.expr:
+            smooth = isinstance(node.func, ast.Name) and node.func.id in SMOOTH_FUNCTIONS
+            own = [ast.keyword("library", ast.Name("jnp", ast.Load()))] if smooth else []
+            return ast.Call(self.visit(node.func), [self.visit(part) for part in node.args], own)
 
     return ast.unparse(ast.fix_missing_locations(Renamed().visit(ast.parse(ast.unparse(tree), mode="eval")).body))

@@ -1,0 +1,111 @@
+"""The regression of a form of law on windows of a free force: at the starts of its shape, then with the shape refined,
+then without the terms that predict nothing.
+"""
+
+import itertools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from .grammar import Family
+from .windows import ForceWindows
+
+ROUNDS = 12
+"""Levenberg-Marquardt steps of a refinement, at most."""
+BLOCK = 64
+"""Values of a shape that are fitted at a time."""
+FEWEST_CHI2 = 9.0
+"""A term is left out where that raises chi^2 on runs left out by less than this: a likelihood ratio of exp(9 / 2)."""
+
+
+class Trial(NamedTuple):
+    """A form at one `shape`: its amplitudes, the steps of the other parameters, chi^2 of all runs, and that of each run
+    under the fit to the others, summed."""
+
+    family: Family
+    shape: np.ndarray
+    amplitudes: np.ndarray
+    steps: np.ndarray
+    chi2: float
+    left_out: float
+
+
+def named(family: Family, grid: np.ndarray) -> dict[str, np.ndarray]:
+    """The columns of `grid` (G, S), values of the shape of `family`, by name."""
+    return {part.name: grid[:, k] for k, part in enumerate(family.shape)}
+
+
+def form_at(windows: ForceWindows, family: Family, grid: np.ndarray, given: Sequence[np.ndarray]) -> list[Trial]:
+    """The fits of `family` at each row of `grid` (G, S) of its shape."""
+    own = windows.histories(family, named(family, grid))
+    own = np.broadcast_to(own, (len(grid), *own.shape[1:]))
+    others = [np.broadcast_to(one, (len(grid), *one.shape[1:])) for one in given]
+    fit = windows.fitted(np.concatenate([own, *others], axis=1))
+    T = len(family.terms)
+    return [
+        Trial(family, grid[g], fit.amplitudes[g, :T], fit.steps[g], float(fit.chi2[g]), float(fit.left_out[g]))
+        for g in range(len(grid))
+    ]
+
+
+def on_grids(windows: ForceWindows, forms: Sequence[Family], given: Sequence[np.ndarray]) -> list[Trial]:
+    """Of each form the best of the starts of its shape."""
+    return [best for family in forms if (best := on_grid(windows, family, given)) is not None]
+
+
+def on_grid(windows: ForceWindows, family: Family, given: Sequence[np.ndarray]) -> Trial | None:
+    """The best of the starts of the shape of `family`."""
+    rows = list(itertools.product(*(part.starts for part in family.shape)))
+    grid = np.array(rows, float).reshape(len(rows), len(family.shape))
+    blocks = [grid[k : k + BLOCK] for k in range(0, len(grid), BLOCK)]
+    trials = [trial for block in blocks for trial in form_at(windows, family, block, given)]
+    trials = [trial for trial in trials if np.isfinite(trial.left_out)]
+    return min(trials, key=lambda trial: trial.left_out, default=None)
+
+
+def refined(windows: ForceWindows, trial: Trial, given: Sequence[np.ndarray]) -> Trial:
+    """`trial` with its shape moved to the least chi^2 by Levenberg-Marquardt steps."""
+    family, S, damping = trial.family, len(trial.family.shape), 1e-3
+    if not S:
+        return trial
+    low, high = (np.array([getattr(part, side) for part in family.shape]) for side in ("low", "high"))
+    T, P = len(family.terms), len(windows.prior_mean)
+    for _ in range(ROUNDS):
+        reach = 1e-4 * np.maximum(np.abs(trial.shape), 1e-3)
+        grid = np.concatenate([trial.shape[None], trial.shape + np.diag(reach)])
+        near = windows.histories(family, named(family, grid))
+        slopes = np.einsum("t,stwk->swk", trial.amplitudes, near[1:] - near[:1]) / reach[:, None, None]
+        matrix, right = windows.normal(np.concatenate([near[:1], slopes[None], *given], axis=1))
+        A, b = matrix.sum(axis=0)[0], right.sum(axis=0)[0]
+        A[range(P), range(P)] += windows.precision
+        b[:P] += windows.precision * windows.prior_mean
+        now = np.concatenate([trial.steps, trial.amplitudes, np.zeros(len(b) - P - T)])
+        size = np.sqrt(np.maximum(np.diag(A), 1e-30))
+        scaled = A / np.outer(size, size)
+        step = np.linalg.lstsq(scaled + damping * np.eye(len(b)), (b - A @ now) / size, rcond=1e-12)[0] / size
+        shape = np.clip(trial.shape + step[P + T : P + T + S], low, high)
+        then = form_at(windows, family, shape[None], given)[0]
+        if not then.chi2 < trial.chi2:
+            damping *= 10
+            if damping > 1e3:
+                break
+            continue
+        gain, trial, damping = trial.chi2 - then.chi2, then, max(damping / 10, 1e-9)
+        if gain < 0.1 + 1e-5 * trial.chi2:
+            break
+    return trial
+
+
+def pruned(windows: ForceWindows, trial: Trial, given: Sequence[np.ndarray]) -> Trial:
+    """`trial` without the terms that predict nothing on runs left out."""
+    while len(trial.family.terms) > 1 and not trial.family.whole:
+        worth = max(FEWEST_CHI2, 0.02 * (trial.left_out - windows.samples))
+        terms = trial.family.terms
+        fewer = [trial.family._replace(terms=(*terms[:k], *terms[k + 1 :])) for k in range(len(terms))]
+        shorter = [form_at(windows, family, trial.shape[None], given)[0] for family in fewer]
+        best = min(shorter, key=lambda one: one.left_out)
+        if best.left_out > trial.left_out + worth:
+            break
+        trial = refined(windows, best, given)
+    return trial

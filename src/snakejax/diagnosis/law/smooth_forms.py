@@ -1,0 +1,110 @@
+"""Forms of law without a formula: smooth functions of one or two variables, through values at knots.
+
+They follow whatever the force does, so they cost many parameters: of few knots and many, those are taken that predict
+runs left out best, which is what a penalty of the curvature would be chosen by.
+
+    action                         function
+    X, Y, N, drag, dry friction,   a natural cubic spline of one variable, a Fourier series of an angle or, with a wave
+    across the velocity,           number of its own, of a place or the angle of a joint;
+    yaw drag, grip                 a product of splines of two variables
+"""
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+
+import numpy as np
+
+from .grammar import (
+    ACTIONS,
+    EAST,
+    NORTH,
+    PUSH_SUFFIX,
+    WORLD_VARIABLES,
+    Action,
+    Family,
+    Range,
+    ShapeParameter,
+    Term,
+    acting,
+)
+from .units import power, unit_of
+
+KNOTS = (4, 6, 9, 14)
+"""Numbers of knots of a spline."""
+SIDE = 4
+"""Knots along each variable of a function of two."""
+HARMONICS = 3
+"""The highest harmonic of a series."""
+ANGLES = ("heading", "theta")
+"""Variables of which a force is periodic with a whole turn."""
+
+
+def smooth_of_one(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]:
+    """The smooth functions of one variable of `ranges`; of those named in `wheel` only the grip may be one."""
+    for variable, interval in ranges.items():
+        if variable.endswith(PUSH_SUFFIX):
+            continue
+        for action in _actions(variable, wheel):
+            if variable in ANGLES:
+                yield _series(action, variable, "", ())
+                continue
+            for knots in KNOTS:
+                yield _spline(action, variable, interval, knots)
+            if variable in ("x", "y") or (variable.endswith("_angle") and variable not in wheel):
+                numbers = tuple(np.pi / interval.width * np.arange(1.0, 31.0))
+                k = ShapeParameter("k", power(unit_of(variable), -1), numbers, 0.3 * numbers[0], 1.2 * numbers[-1])
+                yield _series(action, variable, "k * ", (k,))
+
+
+def smooth_of_two(
+    ranges: dict[str, Range], wheel: Sequence[str], action: str, variables: Sequence[str]
+) -> Iterator[Family]:
+    """The smooth functions of two variables of `ranges`, of which one is in `variables`, for one `action`."""
+    usual = [v for v in ranges if v not in ANGLES and v not in wheel and not v.endswith(PUSH_SUFFIX)]
+    for one, other in combinations(usual, 2):
+        if {one, other} & set(variables):
+            acts = [a for a in _actions(one, wheel) if a.name == action and a in _actions(other, wheel)]
+            for each in acts:
+                yield _surface(each, (one, other), (ranges[one], ranges[other]))
+
+
+def _actions(variable: str, wheel: Sequence[str]) -> tuple[Action, ...]:
+    """What a function of a variable may act on."""
+    if variable in wheel:
+        return tuple(action for action in ACTIONS if action.name == "grip")
+    return (*ACTIONS, EAST, NORTH) if variable in WORLD_VARIABLES else ACTIONS
+
+
+def _spline(action: Action, variable: str, interval: Range, knots: int) -> Family:
+    low, high = f"{interval.low:.4g}", f"{interval.high:.4g}"
+    return _through_values(action, "smooth function", (variable,), f"spline({variable}, {low}, {high}", knots)
+
+
+def _surface(action: Action, variables: tuple[str, str], intervals: tuple[Range, Range]) -> Family:
+    sides = (f"{v}, {i.low:.4g}, {i.high:.4g}" for v, i in zip(variables, intervals, strict=True))
+    return _through_values(action, "smooth function of two", variables, f"surface({', '.join(sides)}", SIDE**2)
+
+
+def _through_values(action: Action, name: str, variables: tuple[str, ...], call: str, count: int) -> Family:
+    """A function through `count` values, each of which has the unit of the `action`; the first value of a grip is
+    zero, as a constant part of it is that of the tyre."""
+    values = [f"c{k + 1}" for k in range(count)]
+    if action.name == "grip":
+        values[0] = "0"
+    terms = []
+    for k, value in enumerate(values):
+        alone = ", ".join("1" if j == k else "0" for j in range(count))
+        if value != "0":
+            terms.append(Term(value, action.unit, acting(action, f"{call}, {alone})")))
+    together = acting(action, f"{call}, {', '.join(values)})")
+    return Family(name, action.name, variables, tuple(terms), whole=True, together=together)
+
+
+def _series(action: Action, variable: str, factor: str, shape: tuple[ShapeParameter, ...]) -> Family:
+    """A Fourier series of `factor` times a variable."""
+    parts = [(f, n) for n in range(1, HARMONICS + 1) for f in ("sin", "cos")]
+    terms = [
+        Term(f"{f[0]}{n}", action.unit, acting(action, f"{f}({f'{n} * ' if n > 1 else ''}{factor}{variable})"))
+        for f, n in parts
+    ]
+    return Family("series", action.name, (variable,), tuple(terms), shape)
