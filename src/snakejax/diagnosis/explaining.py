@@ -30,7 +30,7 @@ from .exact_checks import compile_later_programs, constants_explain, odd_run_rat
 from .exact_explanation import exact_explanation, leaves_only_noise
 from .explaining_by_law import by_exact_law_beside, conclude_with_law, latent_force_of, with_laws
 from .explanation import Explanation
-from .law.adding import predicting_steps
+from .law.fitting import predicting_steps
 from .selection.acceptance import accept_structure
 from .selection.beam_search import CandidateSubset
 from .selection.candidates import CandidateFit, CandidateSet

@@ -11,7 +11,9 @@ from .diagnosing import BaseDiagnosis
 from .exact_explanation import exact_explanation, leaves_only_noise
 from .explanation import Explanation
 from .latent_force.missing_force import LatentForce, choose_structure, estimate_latent_force
-from .law.adding import AddedLaws, best_laws, exact_law, exact_smooth_law
+from .law.adding import best_laws
+from .law.exact_laws import exact_law, exact_smooth_law
+from .law.fitting import AddedLaws
 from .law.known_effects import known_effects_beside, law_beside_effects
 from .selection.candidates import CandidateFit
 from .selection.ranking import trial_order
@@ -44,17 +46,15 @@ def with_laws(
 
 def by_exact_law(case: Case, noise: Noise, diagnosis: BaseDiagnosis, progress: Progress) -> Explanation | None:
     """The explanation by one law, with which only noise is left, in held-out runs too: it needs no random force. By a
-    formula, alone or beside a known effect; else by a smooth function."""
+    formula or a smooth function alone, or by a formula beside a known effect."""
     missing = latent_force_of(diagnosis, diagnosis.base, progress)
     like = _structure_of(diagnosis, missing)
-    law = exact_law(case, noise, like, missing, progress)
-    explanation = _by_law(case, noise, diagnosis, like, law, missing)
-    if explanation is None:
-        explanation = by_exact_law_beside(case, noise, diagnosis, progress)
-    if explanation is None:
-        law = exact_smooth_law(case, noise, like, missing, progress)
+    for find in (exact_law, exact_smooth_law):
+        law = find(case, noise, like, missing, progress)
         explanation = _by_law(case, noise, diagnosis, like, law, missing)
-    return explanation
+        if explanation is not None:
+            return explanation
+    return by_exact_law_beside(case, noise, diagnosis, progress)
 
 
 def by_exact_law_beside(case: Case, noise: Noise, diagnosis: BaseDiagnosis, progress: Progress) -> Explanation | None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from snakejax.diagnosis.law import known_effects
-from snakejax.diagnosis.law.adding import AddedLaws
+from snakejax.diagnosis.law.fitting import AddedLaws
 
 
 @pytest.fixture

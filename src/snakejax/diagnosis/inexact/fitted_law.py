@@ -11,7 +11,7 @@ from snakejax.dynamics.law import law_class
 from snakejax.estimation.discrepancy.segments import Segments
 from snakejax.recording.run import Case, Noise
 
-from ..law.adding import candidate_set_with, law_names
+from ..law.fitting import candidate_set_with, law_names
 from ..law.search import ProposedLaw
 from ..selection.candidates import CandidateSet
 from .candidate_model import CandidateModel, candidate_model, movable_parameters

@@ -15,7 +15,8 @@ from ..selection.ranking import rank
 from ..selection.refit import refit
 from ..selection.stepwise import stepwise_selection
 from ..selection.working_step import WorkingStep, selection_step
-from .adding import AddedLaws, best_laws, candidate_set_with, expected_misfits, fitted_laws, predicts_better
+from .adding import best_laws
+from .fitting import AddedLaws, candidate_set_with, expected_misfits, fitted_laws, predicts_better
 
 
 def known_effects_beside(

@@ -1,0 +1,120 @@
+"""The law with which whole train runs leave only noise: by a formula, or a smooth function."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from snakejax.core.errors import FitError
+from snakejax.core.progress import Phase, Progress, ProgressEvent
+from snakejax.estimation.goodness_of_fit import consistent_with_noise, largest_noise_misfit, run_misfits
+from snakejax.recording.run import Case, Noise
+
+from ..latent_force.missing_force import LatentForce
+from ..selection.acceptance import accept_addition
+from ..selection.candidates import CandidateFit, CandidateSet
+from ..selection.working_step import WorkingStep
+from .fitting import AddedLaws, fitted_laws
+from .regression import FEWEST_CHI2
+from .search import ProposedLaw, finer, smooth_laws
+from .windows import ForceWindows
+
+TRIED = 3
+"""So many of the laws that the windows propose are fitted to whole runs."""
+SMOOTH_TRIED = 2
+"""So many smooth functions, of other variables each, where no formula leaves only noise of whole runs."""
+
+
+def is_needless(law: ProposedLaw, fitted: Sequence[AddedLaws]) -> bool:
+    """Whether a `law` need not be fitted, as one of those `fitted` leaves nothing and has no more parameters."""
+    return any(one.leaves_nothing and one.size <= len(law.parameters) for one in fitted)
+
+
+def exact_law(
+    case: Case, noise: Noise, like: WorkingStep, missing: LatentForce, progress: Progress
+) -> AddedLaws | None:
+    """The likeliest law of `missing` with which whole train runs leave only noise, added to `like`; None without one.
+
+    Only laws are fitted that leave only noise in the windows of runs left out.
+    """
+    if missing.windows is None:
+        return None
+    exact_laws: list[AddedLaws] = []
+    for law in _leaving_only_noise_of(missing.windows, missing.laws)[:TRIED]:
+        if is_needless(law, exact_laws):
+            continue
+        trial = _fitted(case, noise, like, missing, law, progress)
+        exact = None if trial is None else leaving_only_noise(like, trial.laws, trial.candidate_set, trial.fit)
+        if exact is not None:
+            exact_laws.append(exact)
+    return likeliest(exact_laws) if exact_laws else None
+
+
+def exact_smooth_law(
+    case: Case, noise: Noise, like: WorkingStep, missing: LatentForce, progress: Progress
+) -> AddedLaws | None:
+    """A smooth function with which whole train runs leave only noise, added to `like`; None without one.
+
+    Only functions are fitted that leave only noise in the windows of runs left out.
+    """
+    if missing.windows is None:
+        return None
+    laws = _leaving_only_noise_of(missing.windows, smooth_laws(missing.windows))
+    trials = smooth_trials(missing.windows, laws, lambda law: _fitted(case, noise, like, missing, law, progress))
+    last = trials[-1] if trials else None
+    return None if last is None else leaving_only_noise(like, last.laws, last.candidate_set, last.fit)
+
+
+def _leaving_only_noise_of(windows: ForceWindows, laws: Sequence[ProposedLaw]) -> list[ProposedLaw]:
+    """Those of the `laws` that leave only noise in the `windows` of runs left out."""
+    return [law for law in laws if law.left_out <= largest_noise_misfit(windows.samples)]
+
+
+def _fitted(
+    case: Case, noise: Noise, like: WorkingStep, missing: LatentForce, law: ProposedLaw, progress: Progress
+) -> AddedLaws | None:
+    """The model of `like` with a `law`, and the misfits of its own train runs; None where it cannot be fitted."""
+    progress(ProgressEvent(Phase.LAW_FIT, f"fitting {law.expression} to whole runs"))
+    try:
+        candidate_set, fit = fitted_laws(case, noise, like.candidate_set, like.step.effects, missing, (law,))
+    except FitError:
+        return None
+    own = run_misfits(candidate_set.problem, fit.solution, candidate_set.train)
+    return AddedLaws((law,), candidate_set, fit, own)
+
+
+def smooth_trials(
+    windows: ForceWindows, laws: Sequence[ProposedLaw], fitted: Callable[[ProposedLaw], AddedLaws | None]
+) -> list[AddedLaws]:
+    """The first smooth functions of `laws` as they are `fitted` to whole train runs, each through more values as long
+    as it then predicts better; the last one is the first that leaves only noise, where one does.
+
+    The windows are short, so that a function of few values may leave only noise in them and more in whole runs.
+    """
+    trials: list[AddedLaws] = []
+    for law in laws[:SMOOTH_TRIED]:
+        least = np.inf
+        for one in (law, *finer(windows, law)):
+            trial = fitted(one)
+            if trial is None or not trial.left_out.mean() < least:
+                break
+            least = trial.left_out.mean()
+            trials.append(trial)
+            if consistent_with_noise(trial.fit.solution):
+                return trials
+    return trials
+
+
+def likeliest(exact_laws: Sequence[AddedLaws]) -> AddedLaws:
+    """Of laws that leave only noise that with the least chi^2, or the one with the fewest parameters of those that do
+    not differ from it by `FEWEST_CHI2`: of many samples noise may vary by more than what tells a law from another."""
+    least = min(one.chi2 for one in exact_laws)
+    return min((one for one in exact_laws if one.chi2 - least < FEWEST_CHI2), key=lambda one: (one.size, one.chi2))
+
+
+def leaving_only_noise(
+    like: WorkingStep, laws: tuple[ProposedLaw, ...], candidate_set: CandidateSet, fit: CandidateFit
+) -> AddedLaws | None:
+    """The `laws` of `fit` where it leaves only noise of whole train runs and is accepted after `like`; else None."""
+    if not (consistent_with_noise(fit.solution) and accept_addition(candidate_set, like.step, fit)):
+        return None
+    return AddedLaws(laws, candidate_set, fit, run_misfits(candidate_set.problem, fit.solution, candidate_set.train))
