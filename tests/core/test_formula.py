@@ -18,7 +18,21 @@ def test_the_names_of_a_formula_stand_in_their_order_without_its_functions() -> 
     assert names_in(parsed("b * sin(k * x) + a * x")) == ("b", "k", "x", "a")
 
 
-@pytest.mark.parametrize("text", ["", "a +", "__import__('os')", "a.real", "a if b else c", "[a]", "a ** b", "open(a)"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "a +",
+        "__import__('os')",
+        "a.real",
+        "a if b else c",
+        "[a]",
+        "a ** b",
+        "open(a)",
+        "spline(a, 0, 1, b)",
+        "surface(a, 0, 1, b, 0, 1, c, c, c)",
+    ],
+)
 def test_anything_else_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="formula"):
         parsed(text)

@@ -21,7 +21,7 @@ def _basis(v: Any, low: Any, high: Any, n: int, library: Any) -> Any:
     """The cardinal splines (..., n) at `v` of any shape; the first knot is at `low`, the last one at `high`."""
     t = library.asarray((v - low) / (high - low) * (n - 1))
     W = _weights(n)
-    return W[0] + t[..., None] * W[1] + library.abs(t[..., None] - np.arange(n)) ** 3 @ W[2:]
+    return W[0] + t[..., None] * W[1] + library.abs(t[..., None] - np.arange(float(n))) ** 3 @ W[2:]
 
 
 def spline(v: Any, low: Any, high: Any, *values: Any, library: Any = np) -> Any:

@@ -8,7 +8,7 @@ import pytest
 
 from snakejax.core.progress import no_progress
 from snakejax.diagnosis.latent_force.missing_force import LatentForce
-from snakejax.diagnosis.law import adding
+from snakejax.diagnosis.law import adding, exact_laws, fitting
 from snakejax.diagnosis.law.grammar import Family
 from snakejax.diagnosis.law.search import ProposedLaw
 from snakejax.diagnosis.selection.criteria import CRITERIA
@@ -26,20 +26,20 @@ def step(misfit: float) -> Any:
 def test_no_step_is_kept_after_the_one_that_predicts_best(left_out, kept, monkeypatch) -> None:
     steps = [step(1.5) for _ in left_out]
     told = {id(one.step): misfit for one, misfit in zip(steps, left_out, strict=True)}
-    monkeypatch.setattr(adding, "left_out_misfits", lambda candidate_set, fit: np.full(3, told[id(fit)]))
-    assert adding.predicting_steps(steps, no_progress) == steps[:kept]
+    monkeypatch.setattr(fitting, "left_out_misfits", lambda candidate_set, fit: np.full(3, told[id(fit)]))
+    assert fitting.predicting_steps(steps, no_progress) == steps[:kept]
 
 
 def test_far_from_the_recordings_the_misfit_of_the_fit_stands_for_that_of_runs_left_out(monkeypatch) -> None:
     """By hand: runs of 2 and 1 present samples with residuals (3, 4) and 6, the second run not to train on."""
-    monkeypatch.setattr(adding, "left_out_misfits", lambda candidate_set, fit: pytest.fail("is not to be refitted"))
+    monkeypatch.setattr(fitting, "left_out_misfits", lambda candidate_set, fit: pytest.fail("is not to be refitted"))
     weight = np.array([[[1.0, 1.0, 0.0]], [[1.0, 1.0, 1.0]], [[1.0, 0.0, 0.0]]])
     residual = np.array([[[3.0, 4.0, 9.0]], [[5.0, 5.0, 5.0]], [[6.0, 7.0, 8.0]]])
     problem = SimpleNamespace(batch=SimpleNamespace(weight=weight))
     candidate_set: Any = SimpleNamespace(criteria=CRITERIA, problem=problem, train=[0, 2])
     linearised = SimpleNamespace(residual=residual)
     fit: Any = SimpleNamespace(solution=SimpleNamespace(misfit=2 * CRITERIA.far_misfit, linearised=linearised))
-    assert adding.expected_misfits(candidate_set, fit).tolist() == [12.5, 36.0]
+    assert fitting.expected_misfits(candidate_set, fit).tolist() == [12.5, 36.0]
 
 
 @pytest.mark.parametrize(
@@ -53,7 +53,7 @@ def test_far_from_the_recordings_the_misfit_of_the_fit_stands_for_that_of_runs_l
     ],
 )
 def test_a_law_must_predict_better_by_more_than_its_standard_error(after, before, better) -> None:
-    assert adding.predicts_better(np.array(after), np.array(before)) is better
+    assert fitting.predicts_better(np.array(after), np.array(before)) is better
 
 
 def proposed(variables: tuple[str, ...], share: float, left_out: float = 1.5) -> ProposedLaw:
@@ -89,19 +89,19 @@ def test_only_rivals_of_the_best_law_are_fitted_to_whole_runs() -> None:
 
 def test_a_new_law_takes_no_name_of_the_model() -> None:
     like: Any = SimpleNamespace(problem=SimpleNamespace(model=SimpleNamespace(effects={"law_1": None, "law_3": None})))
-    assert adding.law_names(3, like) == ("law_2", "law_4", "law_5")
+    assert fitting.law_names(3, like) == ("law_2", "law_4", "law_5")
 
 
 @pytest.mark.parametrize(("misfit", "simple"), [(1.0208, True), (1.0210, False)])
 def test_of_laws_that_leave_only_noise_a_simpler_one_comes_first_if_chi_squared_does_not_tell(misfit, simple) -> None:
     """The one with two parameters leaves 1.02 of 10 000 samples."""
 
-    def added(count: int, left: float) -> adding.AddedLaws:
+    def added(count: int, left: float) -> fitting.AddedLaws:
         law = proposed(("x",), 0.9)._replace(parameters=tuple(LawParameter(name, "N") for name in "ab"[:count]))
         fit: Any = SimpleNamespace(solution=SimpleNamespace(misfit=left, samples=10_000))
-        return adding.AddedLaws((law,), cast(Any, None), fit, np.ones(0))
+        return fitting.AddedLaws((law,), cast(Any, None), fit, np.ones(0))
 
-    assert adding.likeliest([added(2, 1.02), added(1, misfit)]).size == (1 if simple else 2)
+    assert exact_laws.likeliest([added(2, 1.02), added(1, misfit)]).size == (1 if simple else 2)
 
 
 @pytest.mark.parametrize(
@@ -133,12 +133,43 @@ def test_an_exact_law_leaves_only_noise_in_windows_and_in_whole_runs(
         solution = SimpleNamespace(misfit=next(solutions), samples=10_000, loose=())
         return SimpleNamespace(problem=None, train=[]), SimpleNamespace(solution=solution)
 
-    monkeypatch.setattr(adding, "fitted_laws", fitted_laws)
-    monkeypatch.setattr(adding, "accept_addition", lambda candidate_set, before, after: True)
-    monkeypatch.setattr(adding, "run_misfits", lambda problem, solution, train: np.ones(0))
+    monkeypatch.setattr(exact_laws, "fitted_laws", fitted_laws)
+    monkeypatch.setattr(exact_laws, "accept_addition", lambda candidate_set, before, after: True)
+    monkeypatch.setattr(exact_laws, "run_misfits", lambda problem, solution, train: np.ones(0))
     like: Any = SimpleNamespace(candidate_set=None, step=SimpleNamespace(effects=()))
     force = cast(Any, SimpleNamespace(windows=SimpleNamespace(samples=10_000), laws=laws))
     case, noise = cast(Any, None), cast(Any, None)
-    added = adding.exact_law(case, noise, like, force, no_progress)
+    added = exact_laws.exact_law(case, noise, like, force, no_progress)
     assert tried == fitted
     assert (None if added is None else added.laws[0].family.variables[0]) == exact
+
+
+@pytest.mark.parametrize(
+    ("misfits", "fitted", "last"),
+    [
+        # Noise may leave 1.02, but a chi^2 of 200 says that more values are better, and one of 5 that no more are.
+        ((1.02, 1.0, 0.9995), [4, 6, 9], 6),
+        ((3.0, 2.0, 1.0), [4, 6, 9], 9),
+        # More values do not predict better: the next function, of other variables, is tried.
+        ((3.0, 3.5, 1.0, 1.0), [4, 6, 40, 60], 40),
+        ((3.0, 2.0, 2.5, 5.0, 6.0), [4, 6, 9, 40, 60], 40),
+        ((None, 1.0, None), [4, 40, 60], 40),
+    ],
+)
+def test_a_smooth_function_goes_through_more_values_as_long_as_it_is_better(misfits, fitted, last, monkeypatch) -> None:
+    """Of two functions proposed; of a third nothing is asked."""
+    laws = [proposed((name,), 0.9)._replace(score=score) for name, score in (("x", 4), ("y", 40), ("time", 400))]
+    finer = {"x": (6, 9), "y": (60, 90), "time": ()}
+    monkeypatch.setattr(
+        exact_laws, "finer", lambda windows, law: [law._replace(score=s) for s in finer[law.family.variables[0]]]
+    )
+    values, tried = iter(misfits), []
+
+    def fit(law: ProposedLaw) -> fitting.AddedLaws | None:
+        tried.append(law.score)
+        misfit = next(values)
+        solution: Any = SimpleNamespace(solution=SimpleNamespace(misfit=misfit, samples=10_000, loose=()))
+        return None if misfit is None else fitting.AddedLaws((law,), cast(Any, None), solution, np.full(2, misfit))
+
+    trials = exact_laws.smooth_trials(cast(Any, None), laws, fit)
+    assert tried == fitted and trials[-1].laws[0].score == last

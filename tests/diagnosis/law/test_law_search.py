@@ -6,7 +6,8 @@ import pytest
 from snakejax.core.formula import evaluated
 from snakejax.diagnosis.law.grammar import Family, Range, Term, families
 from snakejax.diagnosis.law.knots import KnotFit, hats_at
-from snakejax.diagnosis.law.search import search
+from snakejax.diagnosis.law.search import finer, search, smooth_laws
+from snakejax.diagnosis.law.smooth_forms import smooth_of_one, smooth_of_two
 from snakejax.diagnosis.law.units import power, product, unit_text
 from snakejax.diagnosis.law.windows import ForceWindows
 from snakejax.dynamics.law import formulas_of, law_class
@@ -108,6 +109,19 @@ CASES = {
             {"a": (0.1, "N/m"), "x0": (0.2, "m"), "y0": (-0.3, "m")},
         ),
     ),
+    "stick-slip": (
+        law_of(
+            *(
+                (side, f"-tanh({v} / 0.05) * (0.15 + 0.2 * exp(-(speed / 0.3) ** 2))")
+                for side, v in (("X", "u"), ("Y", "w"))
+            )
+        ),
+        (
+            "X = -a * tanh(u / s) - b * tanh(u / s) * exp(-(speed / v0) ** 2); "
+            "Y = -a * tanh(w / s) - b * tanh(w / s) * exp(-(speed / v0) ** 2)",
+            {"a": (0.15, "N"), "b": (0.2, "N"), "s": (0.05, "m/s"), "v0": (0.3, "m/s")},
+        ),
+    ),
     "friction that grows": (
         law_of(*((side, f"-0.05 * {v} / {_SPEED} * time") for side, v in (("X", "u"), ("Y", "w")))),
         (f"X = -b * u / {_SPEED} * time; Y = -b * w / {_SPEED} * time", {"b": (0.05, "N/s")}),
@@ -154,8 +168,11 @@ NAMES = ("x", "y", "heading", "u", "w", "r", "rotor_angle", "rotor_rate", "rotor
 
 def test_each_form_of_the_grammar_is_an_expression_whose_value_is_that_of_its_terms() -> None:
     rng = np.random.default_rng(3)
-    seen = {name: Range(-1.0, 1.2) for name in NAMES}
-    for family in families(seen, ("slip_speed",)):
+    seen = {name: Range(-1.0, 1.2) for name in NAMES} | {"speed": Range(0.0, 1.2)}
+    wheel = ("slip_speed",)
+    smooth = [*smooth_of_one(seen, wheel), *smooth_of_two(seen, wheel, "X", ("u",))]
+    assert {family.name for family in smooth} == {"smooth function", "smooth function of two", "series"}
+    for family in (*families(seen, wheel), *smooth):
         known = {name: rng.uniform(0.2, 1.0) for name in seen} | {"theta": 0.1}
         known |= {part.name: part.starts[0] for part in family.shape}
         known |= {term.amplitude: rng.uniform(0.5, 1.0) for term in family.terms}
@@ -167,7 +184,7 @@ def test_each_form_of_the_grammar_is_an_expression_whose_value_is_that_of_its_te
                 if name == component
             ]
             expected = sum(parts) + (component == "grip")
-            assert float(evaluated(tree, known, np)) == pytest.approx(expected, rel=1e-12)
+            assert float(evaluated(tree, known, np)) == pytest.approx(expected, rel=1e-9)
 
 
 def test_units_of_products() -> None:
@@ -189,3 +206,43 @@ def test_a_proposed_law_is_neutral_by_default() -> None:
     effect = law_class(law.expression, law.parameters)()
     known = {"rotor_rate": 3.0, "a": float(effect.a), "s": float(effect.s)}  # type: ignore[attr-defined]
     assert evaluated(effect.formulas["grip"], known, np) == 1.0
+
+
+LOPSIDED = "-0.3 * (rotor_rate + 0.6 * sqrt(rotor_rate ** 2 + 2)) / (1 + (rotor_rate / 3) ** 2)"
+BELT = "-0.25 * tanh((u - 0.3 + 0.2 * sin(rotor_angle)) / 0.1)"
+
+
+@pytest.mark.slow
+def test_where_no_formula_is_good_enough_a_smooth_function_is_the_law() -> None:
+    first = search(windows_of(law_of(("N", LOPSIDED))))[0]
+    assert first.family.name == "smooth function" and first.expression.startswith("N = spline(rotor_rate, ")
+    assert first.left_out < 1.1 and first.share > 0.95
+    (tree,) = formulas_of(first.expression).values()
+    rates = np.linspace(-4.0, 4.0, 30)
+    curve = evaluated(tree, {"rotor_rate": rates, **first.values}, np)
+    np.testing.assert_allclose(
+        curve, evaluated(formulas_of(f"N = {LOPSIDED}")["N"], {"rotor_rate": rates}, np), atol=0.06
+    )
+
+
+@pytest.mark.slow
+def test_a_function_of_two_variables_is_one() -> None:
+    first = search(windows_of(law_of(("X", BELT))))[0]
+    assert set(first.family.variables) == {"u", "rotor_angle"} and first.family.name == "smooth function of two"
+    assert first.share > 0.9
+
+
+@pytest.mark.slow
+def test_a_formula_that_leaves_only_noise_needs_no_smooth_function() -> None:
+    windows = windows_of(law_of(("N", "-0.01 * rotor_rate")))
+    assert all(law.family.name not in ("smooth function", "smooth function of two") for law in search(windows))
+    best = smooth_laws(windows)[0]
+    assert best.family.variables == ("rotor_rate",) and len(best.parameters) == 4
+    assert [len(law.parameters) for law in finer(windows, best)] == [6, 9, 14]
+
+
+def test_a_smooth_grip_leaves_its_constant_part_to_the_tyre() -> None:
+    forms = smooth_of_one({"speed": Range(0.0, 1.0)}, ())
+    of_grip = next(one for one in forms if one.action == "grip")
+    assert of_grip.expression() == "grip = 1 - spline(speed, 0, 1, 0, c2, c3, c4)"
+    assert [term.amplitude for term in of_grip.terms] == ["c2", "c3", "c4"]

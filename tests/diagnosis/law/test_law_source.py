@@ -17,6 +17,10 @@ LAWS = {
         "grip = 1 - a * tanh((rotor_rate / s) ** 2) + b * abs(slip_speed)",
         {"a": ("-", 0.4), "s": ("rad/s", 4.0), "b": ("s/m", 0.3)},
     ),
+    "smooth": (
+        "X = -u * spline(speed, 0, 0.5, a, b, c, 0.1) + surface(x, -1, 1, time, 0, 1, a, b, c, 0); N = b * sin(x)",
+        {n: ("N", 0.1 + 0.2 * k) for k, n in enumerate("abc")},
+    ),
     "mixed": ("X = -a * u * speed; north = b; N = c * sin(heading)", {n: ("N", 0.1) for n in "abc"}),
 }
 

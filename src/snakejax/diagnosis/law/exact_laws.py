@@ -2,8 +2,6 @@
 
 from collections.abc import Callable, Sequence
 
-import numpy as np
-
 from snakejax.core.errors import FitError
 from snakejax.core.progress import Phase, Progress, ProgressEvent
 from snakejax.estimation.goodness_of_fit import consistent_with_noise, largest_noise_misfit, run_misfits
@@ -86,22 +84,29 @@ def smooth_trials(
     windows: ForceWindows, laws: Sequence[ProposedLaw], fitted: Callable[[ProposedLaw], AddedLaws | None]
 ) -> list[AddedLaws]:
     """The first smooth functions of `laws` as they are `fitted` to whole train runs, each through more values as long
-    as it then predicts better; the last one is the first that leaves only noise, where one does.
+    as it is then better; no further one after one that leaves only noise, which is the last.
 
     The windows are short, so that a function of few values may leave only noise in them and more in whole runs.
     """
     trials: list[AddedLaws] = []
     for law in laws[:SMOOTH_TRIED]:
-        least = np.inf
+        last = None
         for one in (law, *finer(windows, law)):
             trial = fitted(one)
-            if trial is None or not trial.left_out.mean() < least:
+            if trial is None or (last is not None and not _better_through_more(trial, last)):
                 break
-            least = trial.left_out.mean()
+            last = trial
             trials.append(trial)
-            if consistent_with_noise(trial.fit.solution):
-                return trials
+        if last is not None and consistent_with_noise(last.fit.solution):
+            break
     return trials
+
+
+def _better_through_more(trial: AddedLaws, last: AddedLaws) -> bool:
+    """Whether a function through more values than that of `last` predicts better, and lowers chi^2 by more than
+    `FEWEST_CHI2` beside the 1 that each value fits by chance."""
+    falls = last.chi2 - trial.chi2 > FEWEST_CHI2 + trial.size - last.size
+    return bool(falls and trial.left_out.mean() < last.left_out.mean())
 
 
 def likeliest(exact_laws: Sequence[AddedLaws]) -> AddedLaws:
