@@ -8,6 +8,13 @@ import pytest
 from snakejax.diagnosis import explaining_by_law
 
 
+class Force(str):
+    """A missing force, by the effect beside which it was found."""
+
+    def with_also(self, laws):
+        return self
+
+
 @pytest.mark.parametrize(
     ("with_noise_alone", "tried", "found"),
     [
@@ -35,11 +42,13 @@ def test_a_law_is_looked_for_beside_the_best_known_effects_one_after_the_other(
     def force(candidate_set, step, progress):
         (effect,) = step.effects
         beside.append(effect)
-        return SimpleNamespace(with_laws=lambda: effect)
+        return SimpleNamespace(with_laws=lambda: Force(effect))
 
     def law(case, noise, like, missing, progress):
         assert like == missing, "the law is added to the model in which its force was found"
-        return None if missing != with_noise_alone else SimpleNamespace(candidate_set="", names=("law_1",), fit="")
+        if missing != with_noise_alone:
+            return None
+        return SimpleNamespace(candidate_set="", names=("law_1",), fit="", laws=())
 
     def conclusion(case, noise, own, steps, missing):
         return SimpleNamespace(verdict="explained", steps=steps)

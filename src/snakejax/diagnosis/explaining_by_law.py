@@ -33,7 +33,7 @@ def with_laws(
     laws = best_laws(case, noise, like, last, missing, progress)
     if not laws:
         return [], missing
-    first = len(steps)
+    first, missing = len(steps), missing.with_also(laws[0].laws)
     steps += [selection_step(added.candidate_set, "added", added.names[-1], added.fit) for added in laws]
     if not consistent_with_noise(laws[-1].fit.solution):
         beside = known_effects_beside(case, noise, like.candidate_set, laws[-1], progress)
@@ -87,7 +87,7 @@ def _by_law(
         return None
     added = selection_step(law.candidate_set, "added", law.names[0], law.fit)
     steps = [added] if like is diagnosis.base else [like, added]
-    explanation = conclude_with_law(case, noise, diagnosis, steps, missing)
+    explanation = conclude_with_law(case, noise, diagnosis, steps, missing.with_also(law.laws))
     return explanation if explanation.verdict == "explained" else None
 
 

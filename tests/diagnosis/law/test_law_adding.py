@@ -72,6 +72,14 @@ def test_laws_say_what_their_variables_explain(monkeypatch) -> None:
     assert force.left == 1.0 + 3.0 * (1 - 0.99)
 
 
+def test_a_law_that_was_added_is_among_those_of_its_force_once() -> None:
+    """A smooth function is proposed only where no formula is good enough."""
+    formula, smooth = (proposed((name,), 0.9)._replace(expression=f"X = {name}") for name in "xy")
+    force = LatentForce((), (), None, (4.0, 1.0), {}, False, laws=(formula,))
+    assert force.with_also((smooth,)).laws == (smooth, formula)
+    assert force.with_also((formula,)).laws == (formula,)
+
+
 @pytest.mark.parametrize(("second", "taken"), [(1.1, True), (1.4, False)])
 def test_a_second_law_must_take_away_half_of_what_the_first_leaves(second, taken, monkeypatch) -> None:
     found = (proposed(("x",), 0.9, left_out=second),)

@@ -241,6 +241,20 @@ def test_a_formula_that_leaves_only_noise_needs_no_smooth_function() -> None:
     assert [len(law.parameters) for law in finer(windows, best)] == [6, 9, 14]
 
 
+def test_a_penalty_of_the_curvature_makes_a_function_straight_and_leaves_a_straight_one() -> None:
+    """By hand for a heavy weight: the regression on the values of a straight line, of which the first and last tell."""
+    windows = windows_of(law_of(("N", "-0.01 * rotor_rate - 0.004 * rotor_rate ** 2")), noise=0.1)
+    family = next(f for f in smooth_of_one({"rotor_rate": Range(-4.0, 4.0)}, ()) if f.action == "N")
+    assert family.curvature is not None
+    histories = windows.histories(family, {})
+    none, heavy = (windows.fitted(histories, weight * family.curvature[None]).amplitudes[0] for weight in (0.0, 1e6))
+    np.testing.assert_allclose(none, windows.fitted(histories).amplitudes[0], rtol=1e-6)
+    assert abs(none @ family.curvature @ none) > 1e-3
+    straight = np.stack([np.linspace(1, 0, 4), np.linspace(0, 1, 4)])
+    line = windows.fitted(np.einsum("kt,gtwn->gkwn", straight, histories)).amplitudes[0]
+    np.testing.assert_allclose(heavy, line @ straight, atol=1e-3)
+
+
 def test_a_smooth_grip_leaves_its_constant_part_to_the_tyre() -> None:
     forms = smooth_of_one({"speed": Range(0.0, 1.0)}, ())
     of_grip = next(one for one in forms if one.action == "grip")

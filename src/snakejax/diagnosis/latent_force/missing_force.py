@@ -76,6 +76,11 @@ class LatentForce(Tabular):
         depends_on = tuple(sorted(shares.items(), key=lambda pair: -pair[1]))
         return dataclasses.replace(self, laws=laws, depends_on=depends_on)
 
+    def with_also(self, laws: Sequence[ProposedLaw]) -> "LatentForce":
+        """This force with `laws` among its own: smooth functions are proposed where no formula is good enough."""
+        known = {law.expression for law in self.laws}
+        return dataclasses.replace(self, laws=(*(law for law in laws if law.expression not in known), *self.laws))
+
     @property
     def size(self) -> tuple[float, float]:
         """Root mean square of the force along the body [N] and of the yaw moment [N m]."""

@@ -80,7 +80,8 @@ class Family(NamedTuple):
     """A form of law: its `terms` are added; `shape` are the parameters inside them. `name` and `variables` tell it.
 
     `whole`: without one of its terms it is another form, or depends on where the axes of the cameras are. `together`:
-    the formula of all terms for each component, where that is not their sum written out.
+    the formula of all terms for each component, where that is not their sum written out. `curvature` (T, T): the
+    quadratic form of the amplitudes that says how curved the function is.
     """
 
     name: str
@@ -90,6 +91,7 @@ class Family(NamedTuple):
     shape: tuple[ShapeParameter, ...] = ()
     whole: bool = False
     together: tuple[tuple[str, str], ...] = ()
+    curvature: np.ndarray | None = None
 
     @property
     def size(self) -> int:

@@ -13,6 +13,8 @@ from .windows import ForceWindows
 
 ROUNDS = 12
 """Levenberg-Marquardt steps of a refinement, at most."""
+PENALTIES = (0.0, 1e-4, 1e-2, 1.0)
+"""Weights of the curvature of a smooth function: multiples of what one of its values alone adds to chi^2."""
 BLOCK = 64
 """Values of a shape that are fitted at a time."""
 FEWEST_CHI2 = 9.0
@@ -37,16 +39,22 @@ def named(family: Family, grid: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def form_at(windows: ForceWindows, family: Family, grid: np.ndarray, given: Sequence[np.ndarray]) -> list[Trial]:
-    """The fits of `family` at each row of `grid` (G, S) of its shape."""
+    """The fits of `family` at each row of `grid` (G, S) of its shape; a smooth function has none, and one fit, with the
+    one of `PENALTIES` that predicts runs left out best."""
     own = windows.histories(family, named(family, grid))
+    penalty = None
+    if family.curvature is not None:
+        grid, beside = np.zeros((len(PENALTIES), 0)), sum(one.shape[1] for one in given)
+        penalty = np.array(PENALTIES)[:, None, None] * np.pad(family.curvature, (0, beside))
     own = np.broadcast_to(own, (len(grid), *own.shape[1:]))
     others = [np.broadcast_to(one, (len(grid), *one.shape[1:])) for one in given]
-    fit = windows.fitted(np.concatenate([own, *others], axis=1))
+    fit = windows.fitted(np.concatenate([own, *others], axis=1), penalty)
     T = len(family.terms)
-    return [
+    trials = [
         Trial(family, grid[g], fit.amplitudes[g, :T], fit.steps[g], float(fit.chi2[g]), float(fit.left_out[g]))
         for g in range(len(grid))
     ]
+    return trials if penalty is None else [min(trials, key=lambda trial: trial.left_out)]
 
 
 def on_grids(windows: ForceWindows, forms: Sequence[Family], given: Sequence[np.ndarray]) -> list[Trial]:

@@ -12,7 +12,7 @@ from snakejax.dynamics.law import LawParameter
 from snakejax.estimation.goodness_of_fit import largest_noise_misfit
 
 from .grammar import Family, families
-from .regression import FEWEST_CHI2, Trial, form_at, named, on_grids, pruned, refined
+from .regression import FEWEST_CHI2, PENALTIES, Trial, form_at, named, on_grids, pruned, refined
 from .smooth_forms import smooth_of_one, smooth_of_two
 from .units import unit_text
 from .windows import ForceWindows
@@ -65,14 +65,16 @@ def search(windows: ForceWindows, beside: Sequence[tuple[Family, np.ndarray]] = 
     """The laws that predict runs left out best, the best first; none where no law predicts them better than nothing.
 
     Of laws that do not differ by `FEWEST_CHI2` from the best, the one with the fewest parameters is first. Where no
-    formula leaves only noise there, smooth functions are tried too, and are among the laws where they predict better.
+    formula leaves only noise there, or in windows `beside` a random force, which hides what a formula leaves, smooth
+    functions are tried too, and are among the laws where they predict better.
     `beside`: forms, with the values of their shape, that are in the regression whatever else is.
     """
     given = [windows.histories(family, named(family, shape[None])) for family, shape in beside]
     nothing = form_at(windows, NO_LAW, np.zeros((1, 0)), given)[0].left_out
     forms = list(families(windows.ranges(), windows.wheel))
     laws = _proposals(windows, _best_trials(windows, forms, given), len(forms), nothing)
-    if min((law.left_out for law in laws), default=np.inf) > largest_noise_misfit(windows.samples):
+    least = min((law.left_out for law in laws), default=np.inf)
+    if laws and (windows.beside or least > largest_noise_misfit(windows.samples)):
         most = min((law.score - FEWEST_CHI2 * max(1.0, law.left_out) for law in laws), default=np.inf)
         smooth = [law for law in _smooth_laws(windows, given, nothing, len(forms)) if law.score < most]
         laws = sorted([*laws, *smooth], key=lambda law: law.score)
@@ -146,10 +148,11 @@ def _simplest_first(ordered: list[ProposedLaw]) -> list[ProposedLaw]:
 def chance(family: Family, forms: int) -> float:
     """What the best of so many `forms` gains in chi^2 on runs left out by chance, with the terms of `family`.
 
-    chi^2 of T amplitudes exceeds its quantile at 1 - 1 / N in one of N trials. Each start of the shape is a trial, and
-    an amplitude that fits chance costs 1 on runs left out.
+    chi^2 of T amplitudes exceeds its quantile at 1 - 1 / N in one of N trials. Each start of the shape is a trial, or
+    each penalty, and an amplitude that fits chance costs 1 on runs left out.
     """
-    trials = forms * np.prod([len(part.starts) for part in family.shape])
+    starts = [len(part.starts) for part in family.shape]
+    trials = forms * np.prod(starts if family.curvature is None else [len(PENALTIES)])
     return float(stats.chi2.isf(1.0 / trials, len(family.terms)) - len(family.terms))
 
 

@@ -138,30 +138,37 @@ class ForceWindows(NamedTuple):
             onto_full[run, :, P:] += slopes[k]
         return full, onto_full
 
-    def fitted(self, histories: np.ndarray) -> Fitted:
-        """The regressions on G sets of `histories`."""
+    def fitted(self, histories: np.ndarray, penalty: np.ndarray | None = None) -> Fitted:
+        """The regressions on G sets of `histories`; `penalty` (G, T, T): a quadratic form of the amplitudes that is
+        added to chi^2, in multiples of what an amplitude of 1 alone adds to it, their mean."""
         P = len(self.prior_mean)
         matrix, right = self.normal(histories)
         total, slope = matrix.sum(axis=0), right.sum(axis=0)
-        c = self._solved(total, slope, total)
+        if penalty is not None:
+            penalty = np.einsum("gii->g", total[:, P:, P:])[:, None, None] / penalty.shape[1] * penalty
+        c = self._solved(total, slope, total, penalty)
         chi2 = self.square.sum() - 2 * (slope * c).sum(-1) + np.einsum("gi,gij,gj->g", c, total, c)
         left = np.zeros(len(chi2))
         for k, (one, own) in enumerate(zip(matrix, right, strict=True)):
-            d = self._solved(total - one, slope - own, total)
+            d = self._solved(total - one, slope - own, total, penalty)
             if self.beside:
                 rest = slope[:, :P] - np.einsum("gij,gj->gi", total[:, :P, P:], d[:, P:])
                 d[:, :P] = self._solved(total[:, :P, :P], rest, total[:, :P, :P])
             left += self.square[k] - 2 * (own * d).sum(-1) + np.einsum("gi,gij,gj->g", d, one, d)
         return Fitted(c[:, P:], c[:, :P], chi2, left)
 
-    def _solved(self, matrix: np.ndarray, right: np.ndarray, total: np.ndarray) -> np.ndarray:
-        """Parameter steps and amplitudes (G, P + T), with a light ridge on the latter."""
+    def _solved(
+        self, matrix: np.ndarray, right: np.ndarray, total: np.ndarray, penalty: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Parameter steps and amplitudes (G, P + T), with a light ridge and a `penalty` (G, T, T) on the latter."""
         P = len(self.prior_mean)
         ridge = 1e-6 * np.einsum("gii->gi", total) + 1e-12
         ridge[:, :P] = self.precision
         full = right.copy()
         full[:, :P] += self.precision * self.prior_mean
         A = matrix + np.einsum("gi,ij->gij", ridge, np.eye(ridge.shape[1]))
+        if penalty is not None:
+            A[:, P:, P:] += penalty
         size = np.sqrt(np.einsum("gii->gi", A))
         # A parameter that moves nothing and has no prior stays where it is.
         size = np.where(size > 0, size, 1.0)
