@@ -3,7 +3,7 @@
 A law is a sum of terms, each an amplitude times a product of variables and one function of a variable:
 
     action                         function of a variable v
-    X, Y, N, a force in the world  v, v^2, v |v|, 1 and v, tanh(v / s), tanh((v / s)^2), a threshold, a bump,
+    X, Y, N, a force in the world  v, v^2, v |v|, 1 and v, tanh(v / s), tanh((v / s)^2), a threshold, a bump, a peak,
     drag, dry friction, force      sin and cos of k v, a product of two variables,
     across the velocity, yaw       in the plane a spring to a point, a plane, a bump, a threshold, the slope of a hill,
     drag, grip, push of a joint    friction in proportion to the distance from a point (a cable dragged along),
@@ -105,7 +105,7 @@ class Family(NamedTuple):
         for amplitude, formulas in parts:
             for component, formula in formulas:
                 negative = formula.startswith("-")
-                text = f"{amplitude}{formula.removeprefix('-')}".removesuffix(" * ")
+                text = f"{amplitude}{formula.removeprefix('-')}".removesuffix(" * ").replace(" * 1 / ", " / ")
                 before = sides.get(component, "1" if component == "grip" else "")
                 sides[component] = (
                     f"{before} {'-' if negative else '+'} {text}" if before else f"{'-' * negative}{text}"
@@ -160,6 +160,7 @@ def _functions(variable: str, interval: Range) -> Iterator[_Function]:
     width = ShapeParameter("s", unit, widths, 0.005 * interval.width, 5 * interval.width)
     yield _Function("threshold", ((f"(0.5 + 0.5 * tanh(({v} - v0) / s))", 0),), (v0, width))
     yield _Function("bump", ((f"exp(-(({v} - v0) / s) ** 2)", 0),), (v0, width))
+    yield _Function("peak", ((f"1 / (1 + (({v} - v0) / s) ** 2)", 0),), (v0, width))
     if variable in ("x", "y", "time") or variable.endswith("_angle"):
         numbers = tuple(np.pi / interval.width * np.arange(1.0, 31.0))
         k = ShapeParameter("k", power(unit, -1), numbers, 0.3 * numbers[0], 1.2 * numbers[-1])

@@ -36,6 +36,8 @@ SIDE = 4
 """Knots along each variable of a function of two."""
 HARMONICS = 5
 """The highest harmonic of a series."""
+REPEATS = (1, 2, 3, 4, 6)
+"""So many times in a turn a series in a heading repeats."""
 ANGLES = ("heading", "theta")
 """Variables of which a force is periodic with a whole turn."""
 
@@ -47,14 +49,14 @@ def smooth_of_one(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Fa
             continue
         for action in _actions(variable, wheel):
             if variable in ANGLES:
-                yield _series(action, variable, "", ())
+                yield from (_series(action, variable, times) for times in REPEATS)
                 continue
             for knots in KNOTS:
                 yield _spline(action, variable, interval, knots)
             if variable in ("x", "y") or (variable.endswith("_angle") and variable not in wheel):
                 numbers = tuple(np.pi / interval.width * np.arange(1.0, 31.0))
                 k = ShapeParameter("k", power(unit_of(variable), -1), numbers, 0.3 * numbers[0], 1.2 * numbers[-1])
-                yield _series(action, variable, "k * ", (k,))
+                yield _series(action, f"k * {variable}", 1, (k,))._replace(variables=(variable,))
 
 
 def smooth_of_two(
@@ -110,11 +112,10 @@ def _curvature(knots: int, variables: int) -> np.ndarray:
     return of_one if variables == 1 else np.kron(of_one, same) + np.kron(same, of_one)
 
 
-def _series(action: Action, variable: str, factor: str, shape: tuple[ShapeParameter, ...]) -> Family:
-    """A Fourier series of `factor` times a variable."""
-    parts = [(f, n) for n in range(1, HARMONICS + 1) for f in ("sin", "cos")]
-    terms = [
-        Term(f"{f[0]}{n}", action.unit, acting(action, f"{f}({f'{n} * ' if n > 1 else ''}{factor}{variable})"))
-        for f, n in parts
-    ]
-    return Family("series", action.name, (variable,), tuple(terms), shape)
+def _series(action: Action, angle: str, times: int, shape: tuple[ShapeParameter, ...] = ()) -> Family:
+    """A Fourier series of an `angle` that repeats so many `times` in a turn."""
+    terms = []
+    for n in range(1, HARMONICS + 1):
+        multiple = angle if n * times == 1 else f"{n * times} * {angle}"
+        terms += [Term(f"{f[0]}{n}", action.unit, acting(action, f"{f}({multiple})")) for f in ("sin", "cos")]
+    return Family("series", action.name, (angle,), tuple(terms), shape)

@@ -1,6 +1,6 @@
 """The windows of a free force, reduced to what regressions on histories of force and grip need."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -95,28 +95,36 @@ class ForceWindows(NamedTuple):
 
     def histories(self, family: Family, shape: Mapping[str, np.ndarray]) -> np.ndarray:
         """The knots (G, T, W, 5K) of each term at G values of the `shape`: force knot by knot, then grip."""
+        T = len(family.terms)
+        if family.together:
+            # Each term is the function with one of its amplitudes 1 and the others 0.
+            alone = {term.amplitude: row[:, None, None] for term, row in zip(family.terms, np.eye(T), strict=True)}
+            return self._acting(family.together, alone, T)[None]
         G = max((len(values) for values in shape.values()), default=1)
         wide = {name: np.asarray(values)[:, None, None] for name, values in shape.items()}
+        each = [self._acting(term.formulas, wide, G) for term in family.terms]
+        return np.stack(each, axis=1) if each else np.zeros((G, 0, len(self.theta), 5 * self.onto_knots.knots))
+
+    def _acting(self, formulas: Sequence[tuple[str, str]], wide: dict[str, np.ndarray], count: int) -> np.ndarray:
+        """The knots (G, W, 5K) of what `formulas` set, by component, with `count` = G values of those in `wide`."""
         (W, n), K = self.theta.shape, self.onto_knots.knots
         c, s = np.cos(self.theta), np.sin(self.theta)
-        knots = np.zeros((G, len(family.terms), W, 5 * K))
-        for t, term in enumerate(family.terms):
-            wrench = {}
-            for component, formula in term.formulas:
-                tree = parsed(formula or "1")
-                for side in (0, 1) if component == "grip" else (0,):
-                    known = {name: values[side] for name, values in self.variables.items()} | wide
-                    value = np.broadcast_to(evaluated(tree, known, np), (G, W, n))
-                    if component == "grip":
-                        knots[:, t, :, 3 * K + side :: 2] = self.onto_knots(value)
-                    else:
-                        wrench[component] = value
-            east, north = wrench.get("east", 0.0), wrench.get("north", 0.0)
-            along = (east * c + north * s, north * c - east * s, 0.0) if {"east", "north"} & set(wrench) else (0.0,) * 3
-            for k, name in enumerate(("X", "Y", "N")):
-                total = along[k] + wrench.get(name, 0.0)
-                if isinstance(total, np.ndarray):
-                    knots[:, t, :, k : 3 * K : 3] = self.onto_knots(total)
+        knots, wrench = np.zeros((count, W, 5 * K)), {}
+        for component, formula in formulas:
+            tree = parsed(formula or "1")
+            for side in (0, 1) if component == "grip" else (0,):
+                known = {name: values[side] for name, values in self.variables.items()} | wide
+                value = np.broadcast_to(evaluated(tree, known, np), (count, W, n))
+                if component == "grip":
+                    knots[:, :, 3 * K + side :: 2] = self.onto_knots(value)
+                else:
+                    wrench[component] = value
+        east, north = wrench.get("east", 0.0), wrench.get("north", 0.0)
+        along = (east * c + north * s, north * c - east * s, 0.0) if {"east", "north"} & set(wrench) else (0.0,) * 3
+        for k, name in enumerate(("X", "Y", "N")):
+            total = along[k] + wrench.get(name, 0.0)
+            if isinstance(total, np.ndarray):
+                knots[:, :, k : 3 * K : 3] = self.onto_knots(total)
         return knots
 
     def normal(self, histories: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
