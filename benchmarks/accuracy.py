@@ -1,7 +1,7 @@
 """How often the diagnosis is right on synthetic boards: with each effect at five strengths, and without any.
 
     python benchmarks/accuracy.py PART [RESULTS]         PART: null, ranking, loop, strong, pairs, strangers,
-                                                         mixed, exhaustive, table
+                                                         unusual, mixed, exhaustive, table
 
 Each part writes its results line by line into RESULTS (default benchmarks/accuracy.jsonl), and continues there after
 a stop. `table` prints the summary, which is kept in benchmarks/accuracy.txt.
@@ -14,6 +14,7 @@ strong      the whole loop on every effect at a size that occurs in practice, un
 pairs       the whole loop on 24 pairs of effects at such sizes, every fourth time with a wrong structure as well, in
             runs like those of a motion capture: five train runs and two held-out runs of 12 s each.
 strangers   the same with an effect that is in no library.
+unusual     the same with one of a form that was unknown to those who wrote the search for laws.
 mixed       the same with such an effect and a known one together; the report must name the known one with the force.
 exhaustive  twenty of the hundred with all candidates refitted, as the reference.
 
@@ -21,6 +22,7 @@ Strengths are multiples of the smallest value that the runs reveal with power 0.
 the effect states it.
 """
 
+import functools
 import json
 import math
 import statistics
@@ -38,6 +40,7 @@ import boards  # noqa: E402
 import equinox as eqx  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
+import unusual_laws  # noqa: E402
 
 from snakejax import Case, Explanation  # noqa: E402
 from snakejax.core.parameter import parameters  # noqa: E402
@@ -318,20 +321,28 @@ def lacking(found: Explanation) -> tuple[tuple[str, float], ...]:
     return force.depends_on[:2] if force else ()
 
 
+def stranger(number: int, constraint: str, name: str, effect: Any, variable: str) -> dict[str, Any]:
+    """The whole loop on the board of a `number` with an effect that no library holds."""
+    found, kept = answered(boards.case(boards.make_long(number, constraint), number, **{name: effect}))
+    depends, laws = lacking(found), [law.expression for law in found.named_laws.values()]
+    named = found.verdict == "unexplained" or bool(laws)
+    right = named and bool(depends) and depends[0][0] == variable
+    truth = {"skid": constraint, "effect": name, "variable": variable}
+    return {**truth, **kept, "depends_on": depends, "laws": laws, "right": right}
+
+
 def strangers(results: Results) -> None:
     for k, (name, (effect, variable)) in enumerate({**boards.STRANGERS, **boards.MORE_STRANGERS}.items()):
         for constraint in boards.STRUCTURES:
-
-            def work(k=k, constraint=constraint, name=name, effect=effect, variable=variable) -> dict[str, Any]:
-                made = boards.make_long(5000 + k, constraint)
-                found, kept = answered(boards.case(made, 5000 + k, **{name: effect}))
-                depends, laws = lacking(found), [law.expression for law in found.named_laws.values()]
-                named = found.verdict == "unexplained" or bool(laws)
-                right = named and bool(depends) and depends[0][0] == variable
-                truth = {"skid": constraint, "effect": name, "variable": variable}
-                return {**truth, **kept, "depends_on": depends, "laws": laws, "right": right}
-
+            work = functools.partial(stranger, 5000 + k, constraint, name, effect, variable)
             results.once("strangers", f"{constraint} {name}", work)
+
+
+def unusual(results: Results) -> None:
+    for k, (name, (effect, variable)) in enumerate(unusual_laws.UNUSUAL.items()):
+        constraint = boards.STRUCTURES[k % 2]
+        work = functools.partial(stranger, 9000 + k, constraint, name, effect, variable)
+        results.once("unusual", f"{constraint} {name}", work)
 
 
 MIXED = {
@@ -424,7 +435,9 @@ def table(results: Results) -> None:
     if lines := results.of("pairs"):
         _pairs_table(lines)
     if lines := results.of("strangers"):
-        _strangers_table(lines)
+        _strangers_table("Effects that no library holds", lines)
+    if lines := results.of("unusual"):
+        _strangers_table("Effects of unusual forms", lines)
     if lines := results.of("mixed"):
         _mixed_table(lines)
     if lines := results.of("exhaustive"):
@@ -501,8 +514,8 @@ def _pairs_table(lines: list[dict[str, Any]]) -> None:
     print(_median(lines))
 
 
-def _strangers_table(lines: list[dict[str, Any]]) -> None:
-    print(f"Effects that no library holds, the whole loop: {sum(line['right'] for line in lines)} of {len(lines)}")
+def _strangers_table(what: str, lines: list[dict[str, Any]]) -> None:
+    print(f"{what}, the whole loop: {sum(line['right'] for line in lines)} of {len(lines)}")
     for line in lines:
         depends = ", ".join(f"{name} {share:.2f}" for name, share in line["depends_on"] or ())
         wrong = "" if line["right"] else f"  ({line['variable']})"
@@ -547,7 +560,9 @@ def _loop_table(lines: list[dict[str, Any]]) -> None:
     print(_median(lines))
 
 
-PARTS = {part.__name__: part for part in (null, ranking, loop, strong, pairs, strangers, mixed, exhaustive, table)}
+PARTS = {
+    part.__name__: part for part in (null, ranking, loop, strong, pairs, strangers, unusual, mixed, exhaustive, table)
+}
 
 if __name__ == "__main__":
     where = Path(sys.argv[2]) if len(sys.argv) > 2 else Path(__file__).with_name("accuracy.jsonl")
