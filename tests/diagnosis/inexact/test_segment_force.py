@@ -20,7 +20,8 @@ from snakejax.diagnosis.law.grammar import Family, Term
 from snakejax.dynamics.law import LawParameter, law_class
 from snakejax.estimation.discrepancy.kalman import Discrepancy, gram_matrices, segment_data
 from snakejax.estimation.discrepancy.open_loop import open_loop
-from snakejax.estimation.discrepancy.segments import BODY, FORCE, Segments
+from snakejax.estimation.discrepancy.segment_dynamics import BODY, FORCE
+from snakejax.estimation.discrepancy.segments import Segments
 from snakejax.estimation.fit_journal import keep_fits
 
 NAMES = ("tyre.D", "effects.push.a", "effects.north.a", "effects.grip.a")

@@ -26,8 +26,9 @@ from snakejax.estimation.discrepancy.kalman import (
 )
 from snakejax.estimation.discrepancy.least_squares import Prior, optimum, quadratic
 from snakejax.estimation.discrepancy.open_loop import open_loop
+from snakejax.estimation.discrepancy.segment_dynamics import BODY, FORCE
 from snakejax.estimation.discrepancy.segmented_runs import LENGTH, cut_segments
-from snakejax.estimation.discrepancy.segments import BODY, FORCE, LinearisedSegments, Segments
+from snakejax.estimation.discrepancy.segments import LinearisedSegments, Segments
 from snakejax.estimation.discrepancy.strength import (
     Scales,
     _minimum,

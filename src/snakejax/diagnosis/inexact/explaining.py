@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from snakejax.core.progress import Progress
-from snakejax.estimation.discrepancy.segments import BODY, Segments
+from snakejax.estimation.discrepancy.segment_dynamics import BODY
+from snakejax.estimation.discrepancy.segments import Segments
 from snakejax.estimation.discrepancy.strength import scales_of
 from snakejax.recording.run import Case, Noise
 

@@ -18,7 +18,8 @@ from snakejax.dynamics.contact import Motion, Wheel
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.ports import LateralForce
 from snakejax.estimation.discrepancy.kalman import SegmentData, gram_matrices
-from snakejax.estimation.discrepancy.segments import BODY, FORCE, Segments
+from snakejax.estimation.discrepancy.segment_dynamics import BODY, FORCE
+from snakejax.estimation.discrepancy.segments import Segments
 
 from ..latent_force.force_sensitivity import MotionSamples, motion_samples
 from ..law.knots import KnotMeans

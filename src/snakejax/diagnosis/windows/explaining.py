@@ -9,7 +9,7 @@ import numpy as np
 from snakejax.core.progress import Progress, no_progress
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.dynamics.ports import Effect
-from snakejax.estimation.discrepancy.segments import BODY
+from snakejax.estimation.discrepancy.segment_dynamics import BODY
 from snakejax.estimation.discrepancy.strength import Scales, window_force
 from snakejax.estimation.goodness_of_fit import largest_noise_misfit
 from snakejax.estimation.initialisation import is_short

@@ -21,8 +21,9 @@ import numpy as np
 from jaxtyping import Float
 
 from ..kept_program import KeptProgram
+from .segment_dynamics import FORCE
 from .segmented_runs import LENGTH, SegmentedRuns
-from .segments import FORCE, LinearisedSegments
+from .segments import LinearisedSegments
 
 CORRELATED = 1e-13
 """Added to the diagonal of correlation matrices, which may be singular to rounding."""

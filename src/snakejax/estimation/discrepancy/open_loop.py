@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Float
 
 from .kalman import Discrepancy, SegmentData
+from .segment_dynamics import FORCE
 from .segmented_runs import LENGTH
-from .segments import FORCE
 
 
 class OpenLoop(NamedTuple):

@@ -14,7 +14,6 @@ Segments are short, so that h and F are nearly linear in z and p even where the 
 """
 
 import copy
-from collections import OrderedDict
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
@@ -22,19 +21,28 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float
 
 from snakejax.core.errors import FitError
 from snakejax.core.parallel import cores
-from snakejax.core.parameter import Scalar, param, parameters, with_parameters
-from snakejax.dynamics.contact import Motion, Wrench
+from snakejax.core.parameter import parameters, with_parameters
 from snakejax.dynamics.model import Model
-from snakejax.dynamics.ports import Effect, Force
+from snakejax.dynamics.ports import Effect
 from snakejax.recording.run import Run
 
 from ..batch import stacked_gaits
-from ..kept_program import KeptProgram
 from ..multiple_shooting import initial_states
+from .segment_dynamics import (
+    BODY,
+    FORCE,
+    ConstantForce,
+    fastest_decay,
+    in_parts,
+    inertia,
+    linearised_segments,
+    segment_ends,
+    steady_memories,
+)
 from .segmented_runs import cut_segments
 
 CHUNK = 16
@@ -49,25 +57,8 @@ GROWN, RESOLVED = 3.0, 0.1
 its steps are halved until the factor changes by less than the second share: the method may have been unstable."""
 HALVINGS = 5
 """So many times, at most."""
-NODES, WEIGHTS = np.array([0.0, 0.5, 0.5, 1.0]), np.array([1.0, 2.0, 2.0, 1.0]) / 6.0
-"""The classical Runge-Kutta method of order 4: a stage begins at the slope of the one before it."""
 MOST_STEPS = 4096
 """Largest number of steps between two samples."""
-BODY, FORCE = 6, 3
-"""Numbers of the state of the body and of the force."""
-
-
-class ConstantForce(Force):
-    """A constant force `X`, `Y` along and across the body, and a yaw moment `N`."""
-
-    X: Scalar = param("N", default=0.0)
-    Y: Scalar = param("N", default=0.0)
-    N: Scalar = param("N m", default=0.0)
-
-    def wrench(self, motion: Motion) -> Wrench:
-        """(X, Y, N)."""
-        zero = jnp.zeros_like(motion.r)
-        return zero + self.X, zero + self.Y, zero + self.N
 
 
 class LinearisedSegments(NamedTuple):
@@ -81,123 +72,6 @@ class LinearisedSegments(NamedTuple):
     end_z: np.ndarray
 
 
-def _inertia(model: Model) -> tuple[Scalar, Scalar, Scalar]:
-    """Mass [kg], twice, and yaw inertia [kg m^2] of the vehicle without payload."""
-    return model.board.mass, model.board.mass, model.board.total_inertia
-
-
-def _integrated(model: Model, stated, sub: Int[Array, ""], segment, z: Float[Array, " nz"]):
-    """Poses (n, 3) and end state (nz - 3,) of one segment; `segment` is (gait, times, rest, begins, payload,
-    codes), `stated` the inertia to which the force in `z` belongs."""
-    gait, times, rest, begins, payload, codes = segment
-    force = [f * now / then for f, now, then in zip(z[-FORCE:], _inertia(model), stated, strict=True)]
-    model = model.in_run(payload, codes)
-    model = with_parameters(model, dict(zip(_FORCE_NAMES, force, strict=True)))
-    gait = model.prepared(gait)
-    template = jax.tree.structure(model.start((z[0], z[1], z[2])))
-    delayed = times - model.delay()
-    # A board at rest at its start was at rest before, whatever the delay of the clocks.
-    delayed = jnp.where(rest, jnp.maximum(delayed, begins), delayed)
-    start = jnp.where(rest, begins, delayed[0])
-
-    def rates(t, y):
-        return jax.tree.leaves(model.rates(t, jax.tree.unflatten(template, y), gait))
-
-    def integrate(y, span):
-        t0, t1 = span
-        h = (t1 - t0) / sub.astype(jnp.float64)
-
-        # Steps and stages are loops, so that `rates` stands in the compiled program only once.
-        def step(i, y):
-            t = t0 + i.astype(jnp.float64) * h
-
-            def stage(state, tableau):
-                last, total = state
-                node, weight = tableau
-                slope = rates(t + node * h, [u + node * h * s for u, s in zip(y, last, strict=True)])
-                return (slope, [sum_ + weight * s for sum_, s in zip(total, slope, strict=True)]), None
-
-            zeros = [jnp.zeros_like(u) for u in y]
-            (_, slope), _ = jax.lax.scan(stage, (zeros, zeros), (jnp.asarray(NODES), jnp.asarray(WEIGHTS)))
-            return [u + h * s for u, s in zip(y, slope, strict=True)]
-
-        y = jax.lax.fori_loop(0, sub, step, y)
-        return y, jnp.stack(model.observe(tuple(y[:BODY])))
-
-    # From the start to the first sample, from there to each of the others, and to the start of the next segment.
-    at = jnp.concatenate([start[None], delayed])
-    y, pose = jax.lax.scan(integrate, [z[i] for i in range(z.shape[0] - FORCE)], (at[:-1], at[1:]))
-    return pose[:-1], jnp.stack(y)
-
-
-_FORCE_NAMES = tuple(f"effects.segment_force.{part}" for part in "XYN")
-
-
-def _at(model: Model, names, multiplicative, values, step):
-    moved = jnp.where(multiplicative, values * jnp.exp(step), values + step)
-    return with_parameters(model, {name: moved[k] for k, name in enumerate(names)})
-
-
-def _in_parts(model: Model) -> Model:
-    """`model`, where the effects of each port stand in a conditional that is always true.
-
-    What is inside is compiled on its own. In one piece, the derivatives of all effects compute again and again what
-    they share, which takes twice as long.
-    """
-    return model.with_active(OrderedDict((name, jnp.asarray(True)) for name in model.effects))
-
-
-@KeptProgram
-def _linearised(model: Model, stated, names, multiplicative, values, sub, segments, z):
-    P, nz = len(names), z.shape[-1]
-
-    def one(segment, z):
-        def outputs(d):
-            return _integrated(_at(model, names, multiplicative, values, d[:P]), stated, sub, segment, z + d[P:])
-
-        zero = jnp.zeros(P + nz)
-        return jax.vmap(lambda d: jax.jvp(outputs, (zero,), (d,)), out_axes=(None, -1))(jnp.eye(P + nz))
-
-    return jax.vmap(one)(segments, z)
-
-
-@KeptProgram
-def _ends(model: Model, stated, names, values, sub, segments, z):
-    """The end states (S, nz - 3) of segments."""
-    model = with_parameters(model, {name: values[k] for k, name in enumerate(names)})
-    return jax.vmap(lambda segment, z: _integrated(model, stated, sub, segment, z)[1])(segments, z)
-
-
-@KeptProgram
-def _fastest_decay(model: Model, names, values, segments, states):
-    """The largest |d(rate of a velocity) / d(the same velocity)| in each segment, (S,) [1/s]."""
-    model = with_parameters(model, {name: values[k] for k, name in enumerate(names)})
-
-    def one(segment, states):
-        gait, times, _, _, payload, codes = segment
-        loaded = model.in_run(payload, codes)
-        start = loaded.start((states[0, 0], states[0, 1], states[0, 2]))[1]
-
-        def rates(v, t, z):
-            body = (z[0], z[1], z[2], v[0], v[1], v[2])
-            return jnp.stack(loaded.rates(t, (body, start), gait)[0][3:])
-
-        jacobians = jax.vmap(lambda t, z: jax.jacfwd(rates)(z[3:], t, z))(times[:-1], states)
-        return jnp.max(jnp.abs(jnp.diagonal(jacobians, axis1=-2, axis2=-1)))
-
-    return jax.vmap(one)(segments, states)
-
-
-@KeptProgram
-def _steady_memories(model: Model, segments, bodies):
-    def one(segment, body):
-        gait, times, _, _, payload, codes = segment
-        memories = model.in_run(payload, codes).initial_state(tuple(body[k] for k in range(BODY)), times[0], gait)[1]
-        return jnp.stack([memory for pair in memories for memory in pair])
-
-    return jax.vmap(one)(segments, bodies)
-
-
 class Segments:
     """The segments of `runs` under `model`, with the movable parameters `names`; compiled once for all recordings."""
 
@@ -205,7 +79,7 @@ class Segments:
         self.runs, self.names = tuple(runs), tuple(names)
         self.cut = cut_segments(runs)
         self.model = model.add(segment_force=ConstantForce())
-        self.stated = tuple(jnp.asarray(part, jnp.float64) for part in _inertia(model))
+        self.stated = tuple(jnp.asarray(part, jnp.float64) for part in inertia(model))
         domains = parameters(model)
         self.domains = [domains[name].domain for name in names]
         self.multiplicative = np.array([domain.multiplicative for domain in self.domains])
@@ -232,7 +106,7 @@ class Segments:
     def force_ratio(self, values: np.ndarray) -> Float[np.ndarray, " 3"]:
         """The force on the vehicle at the parameters `values` over the force in z, for X, Y and N."""
         model = with_parameters(self.model, dict(zip(self.names, map(jnp.asarray, values), strict=True)))
-        return np.array([float(now / then) for now, then in zip(_inertia(model), self.stated, strict=True)])
+        return np.array([float(now / then) for now, then in zip(inertia(model), self.stated, strict=True)])
 
     def _by_segment(self, states: Sequence[np.ndarray]) -> np.ndarray:
         """The smoothed states (S, n, 6) at the samples of each segment; the last one stands for samples filled in."""
@@ -245,7 +119,7 @@ class Segments:
     def _substeps(self, values: np.ndarray) -> np.ndarray:
         """Steps between two samples (S,), so many that the integration is stable at the `values`, see `STABLE`."""
         segments, states = jax.tree.map(jnp.asarray, self.inputs), jnp.asarray(self.smoothed)
-        rate = np.asarray(_fastest_decay(self.model, self.names, jnp.asarray(values), segments, states))
+        rate = np.asarray(fastest_decay(self.model, self.names, jnp.asarray(values), segments, states))
         if not np.isfinite(rate).all():
             raise FitError("The motion of the recording gives a rate of change that is not finite; check its outliers.")
         frame = np.diff(self.cut.times, axis=1).max(axis=1)
@@ -275,7 +149,7 @@ class Segments:
             return z
         z = z.copy()
         model = with_parameters(self.model, dict(zip(self.names, map(jnp.asarray, values), strict=True)))
-        steady = _steady_memories(model, jax.tree.map(jnp.asarray, self.inputs), jnp.asarray(z[:, :BODY]))
+        steady = steady_memories(model, jax.tree.map(jnp.asarray, self.inputs), jnp.asarray(z[:, :BODY]))
         z[:, BODY:-FORCE] = np.where(self.cut.rest[:, None], 0.0, np.asarray(steady))
         return z
 
@@ -289,7 +163,7 @@ class Segments:
         for k in range((last - first).max()):
             at = np.minimum(first + k, last)
             segments, start = jax.tree.map(lambda leaf, at=at: jnp.asarray(leaf[at]), (self.inputs, z))
-            end = np.asarray(_ends(self.model, self.stated, self.names, values_, steps, segments, start))
+            end = np.asarray(segment_ends(self.model, self.stated, self.names, values_, steps, segments, start))
             goes_on = first + k < last
             z[at[goes_on] + 1, :-FORCE] = end[goes_on]
         return z
@@ -333,13 +207,13 @@ class Segments:
         (S, n), P, nz = (len(numbers), self.cut.pose.shape[1]), len(self.names), z.shape[1]
         pose, end = np.zeros((S, n, 3)), np.zeros((S, nz - FORCE))
         d_pose, d_end = np.zeros((S, n, 3, P + nz)), np.zeros((S, nz - FORCE, P + nz))
-        model, point, steps = _in_parts(self.model), jnp.asarray(values, jnp.float64), steps[numbers]
+        model, point, steps = in_parts(self.model), jnp.asarray(values, jnp.float64), steps[numbers]
 
         def fill(part: np.ndarray) -> None:
             padded = numbers[np.concatenate([part, np.repeat(part[-1:], CHUNK - len(part))])]
             segments, start = jax.tree.map(lambda leaf: jnp.asarray(leaf[padded]), (self.inputs, z))
             sub = jnp.asarray(steps[part].max())
-            done = _linearised(model, self.stated, self.names, self.multiplicative, point, sub, segments, start)
+            done = linearised_segments(model, self.stated, self.names, self.multiplicative, point, sub, segments, start)
             for target, results in zip(((pose, end), (d_pose, d_end)), done, strict=True):
                 for whole, values_ in zip(target, results, strict=True):
                     whole[part] = np.asarray(values_)[: len(part)]
