@@ -60,6 +60,14 @@ def test_a_law_of_the_grip_acts_as_the_effect_written_by_hand() -> None:
     assert np.allclose(driven(law(text, {"g": "-"}, {"g": 0.4})), driven(Shake(0.4)), rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
+def test_a_smooth_function_through_values_on_a_line_is_that_line() -> None:
+    units, values = {"a": "N", "b": "N", "c": "N"}, {"a": 0.5, "b": 0.0, "c": -0.5}
+    smooth = law("X = spline(u, -1, 1, a, b, c)", units, values)
+    assert np.allclose(driven(smooth), driven(law("X = -k * u", {"k": "N s/m"}, {"k": 0.5})), rtol=0, atol=1e-9)
+    assert smooth.description.startswith("A smooth function found in the recordings: X = spline(u, -1, 1, a, b, c).")
+
+
 def test_parameters_have_units_and_domains_and_the_class_is_one() -> None:
     given = (LawParameter("a", "N"), LawParameter("s", "m/s", 0.2, low=0.01))
     one, same = (law_class("X = a * tanh(u / s)", given) for _ in range(2))

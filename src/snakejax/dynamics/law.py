@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from snakejax.core.errors import InputError
-from snakejax.core.formula import evaluated, names_in, parsed
+from snakejax.core.formula import SMOOTH_FUNCTIONS, evaluated, names_in, parsed
 from snakejax.core.parameter import Scalar, own_parameters, param
 
 from .contact import Motion, Wheel, Wrench, slip_angle
@@ -132,10 +132,20 @@ def law_class(expression: str, given: tuple[LawParameter, ...], description: str
         "__module__": __name__,
         "expression": expression,
         "formulas": formulas,
-        "description": description or f"A law found in the recordings: {expression}.",
+        "description": description or _description(expression),
         **fields,
     }
     return types.new_class("Law", bases, exec_body=lambda namespace: namespace.update(own))
+
+
+def _description(expression: str) -> str:
+    """What a law found in recordings is."""
+    if any(f"{name}(" in expression for name in SMOOTH_FUNCTIONS):
+        return (
+            f"A smooth function found in the recordings: {expression}. Its parameters are its values at evenly spaced"
+            " places between the two numbers after each variable."
+        )
+    return f"A law found in the recordings: {expression}."
 
 
 def law(expression: str, units: Mapping[str, str], values: Mapping[str, float]) -> Law:
