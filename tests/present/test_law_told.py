@@ -4,15 +4,18 @@ import dataclasses
 import json
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.made_up_explanation import models, result, story
 from jsonschema import Draft202012Validator
 
-from snakejax import InputError
+from snakejax import TABLE_II, Board, Gait, InputError, Model, Pacejka, Run, Sines, simulate
 from snakejax.diagnosis.explanation import Explanation
 from snakejax.diagnosis.law.grammar import Family
 from snakejax.diagnosis.law.search import ProposedLaw
+from snakejax.diagnosis.residuals.replays import replay_model
 from snakejax.dynamics.law import LawParameter, law
 from snakejax.estimation.uncertainty import Estimate
 from snakejax.present.as_json.saved import saved_fit
@@ -20,6 +23,8 @@ from snakejax.present.as_json.schema import schema_of
 from snakejax.present.as_text.certainty import law_sentences
 from snakejax.present.as_text.first_lines import first_lines
 from snakejax.present.report import explanation_page
+from snakejax.present.report.law_force import law_forces
+from snakejax.simulation.integrate import motions
 
 EXPRESSION = "grip = 1 - a * tanh((rotor_rate / s) ** 2)"
 NOTHING_SAID = {
@@ -96,3 +101,38 @@ def test_the_report_has_a_section_of_the_law() -> None:
     found = told()
     page = explanation_page(found, result(found) | NOTHING_SAID, models(found))
     assert "The law of the missing force" in page and "rotor_rate / s" in page
+    assert '"name":"law"' not in page.replace(" ", ""), "A factor on the grip is no force."
+
+
+FORCE = "east = k * (0.5 - x) + a * tanh(rotor_rate); N = -c * r"
+OF_FORCE = {"k": (0.4, "N/m"), "a": (0.1, "N"), "c": (0.02, "N m s")}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("constraint", ["free", "coupled"])
+def test_the_force_of_a_law_along_a_run_is_that_of_its_effect(constraint: str) -> None:
+    effect = law(FORCE, {n: unit for n, (_, unit) in OF_FORCE.items()}, {n: v for n, (v, _) in OF_FORCE.items()})
+    base = Model(Board(**TABLE_II, creep_speed=0.01), Pacejka(B=7.0, C=1.4, D=5.0, E=0.0), constraint)
+    model, gait = base.add(law_1=effect), Gait(*(Sines.of([[size, 4.0, 0.0]]) for size in (0.9, 1.6)))
+    times, start = jnp.arange(60) / 50, (0.1, 0.2, 0.3)
+    driven = simulate(model, gait, times, start)
+    replays = replay_model(
+        model, [Run("driven", "train", times, driven.pose, gait)], np.array([[*start, 0.0, 0.0, 0.0]])
+    )
+    motion, _ = motions(model, gait, driven)
+    wrench = jax.vmap(lambda m: jnp.stack(effect.wrench(m._replace(board=model.board))))
+    np.testing.assert_allclose(law_forces([effect], replays)["driven"], wrench(motion._replace(wheels=())), atol=1e-9)
+    assert law_forces([law(EXPRESSION, UNITS, VALUES)], replays) == {}
+
+
+@pytest.mark.slow
+def test_the_report_draws_a_law_that_is_a_force() -> None:
+    found = told()
+    effect = law("X = -a * u", {"a": "N s/m"}, {"a": 0.3})
+    final = found.final
+    model = final.model.without("law_1").add(law_1=effect)
+    estimates = {"effects.law_1.a": Estimate(0.3, 0.01, "N s/m", True)}
+    final = dataclasses.replace(final, fitted=dataclasses.replace(final.fitted, model=model), estimates=estimates)
+    found = dataclasses.replace(found, steps=(*found.steps[:-1], final))
+    page = explanation_page(found, result(found) | NOTHING_SAID, models(found)).replace(" ", "")
+    assert page.count('"name":"law"') >= 2, "over time, and over the variable"

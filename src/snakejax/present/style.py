@@ -20,6 +20,8 @@ TRAIN, HELDOUT = "#56789a", "#d55e00"
 COLOURS = ("#d55e00", "#009e73", "#c060a0", "#b8860b", "#3aa0d8", "#7a5cc0", "#8a8a20", "#b03030")
 FORCES = (LineStyle("#d55e00", "solid"), LineStyle("#2b7bba", "dash"), LineStyle("#009e73", "dot"))
 """X, Y and N of a force."""
+LAW = LineStyle("#000000", "solid")
+"""The force of a law, over the force that it is a law of."""
 COMPONENTS = ("X [N]", "Y [N]", "N [N m]")
 DASHES = ("solid", "dashdot", "dot", "longdash", "longdashdot")
 """Of the steps, none of them that of the base model; their number has no factor in common with that of `COLOURS`."""

@@ -41,8 +41,8 @@ class RunReplay(NamedTuple):
     3), the modelled ones. Of each of W wheelsets: `wheels` (n, W, 3), its place x, y [m] and its angle [rad], positive
     to the left, in the base frame; (n, W): `slip_speed` [m/s]; `slip` [rad], its slip angle; `force` [N], the traction
     against it. `joints`: the angle (n,) [rad] of each joint by name. `skid_angle` (n,) [rad], the heading less the
-    angle of the frame that forces are counted in (beta of `Coupled`). `states`: the state of the model at every sample,
-    as `Model.rates` takes it.
+    angle of the frame that forces are counted in (beta of `Coupled`); `velocity` (n, 3): u and w [m/s] along and across
+    that frame, r [rad/s]. `states`: the state of the model at every sample, as `Model.rates` takes it.
     """
 
     track: ResidualSeries
@@ -54,6 +54,7 @@ class RunReplay(NamedTuple):
     slip: Float[np.ndarray, "n W"]
     force: Float[np.ndarray, "n W"]
     skid_angle: Float[np.ndarray, " n"]
+    velocity: Float[np.ndarray, "n 3"]
     states: Any
 
     @property
@@ -116,6 +117,7 @@ def _replay_of(run: Run, simulated: Any, residual: np.ndarray, sd: np.ndarray, b
         np.asarray(slip_angle(speed, rolling, board.creep_speed)),
         np.stack(force, axis=1),
         motion.heading - motion.theta,
+        np.stack([motion.u, motion.w, motion.r], axis=1),
         states,
     )
 

@@ -32,6 +32,7 @@ from . import sections as sections
 from .candidates import candidates
 from .certainty import certainty
 from .design import tune_page
+from .law_force import law_forces
 from .page import Model, Page, Section, render
 from .parameters import parameters
 from .player import movie
@@ -82,12 +83,11 @@ def explanation_page(explanation: Explanation, result: Json, models: Sequence[Mo
     """The report of an explanation, from the base model to the verdict; `models` are those of `views_of_steps`."""
     parts: list[Section] = [sections.paths(models), residuals(models)]
     if explanation.missing is not None and result["unexplained"] is not None:
-        charts = _force_charts(explanation.missing, models[0])
+        charts = _force_charts(explanation.missing, explanation, models)
         parts.append(sections.missing(result, components_text(explanation.missing), charts))
     elif explanation.law is not None:
-        parts.append(
-            sections.law(explanation, components_text(explanation.law), _force_charts(explanation.law, models[0]))
-        )
+        charts = _force_charts(explanation.law, explanation, models)
+        parts.append(sections.law(explanation, components_text(explanation.law), charts))
     if explanation.confidence or explanation.candidates:
         lines = [
             f"{effect}: {' '.join(confidence_sentences(explanation, effect))}" for effect in explanation.confidence
@@ -118,11 +118,13 @@ def explanation_page(explanation: Explanation, result: Json, models: Sequence[Mo
     return render(page._replace(lead=tuple(first_lines(explanation))))
 
 
-def _force_charts(force: LatentForce, base: ModelView) -> list[figures.Chart]:
-    """The force of each run, and before them, where it depends on a variable, the force over that variable."""
-    charts = figures.missing(force)
-    if force.depends_on and force.shape is not None:
-        charts.insert(0, figures.shape(force, force.depends_on[0][0], base))
+def _force_charts(force: LatentForce, explanation: Explanation, models: Sequence[ModelView]) -> list[figures.Chart]:
+    """The force of each run, and before them, where it depends on a variable, the force over that variable; each with
+    the force of the laws of the final model."""
+    laws = law_forces(explanation.named_laws.values(), models[-1].scenes)
+    charts = figures.missing(force, models[-1], laws)
+    if force.depends_on and (force.shape is not None or laws):
+        charts.insert(0, figures.shape(force, force.depends_on[0][0], models[-1] if laws else models[0], laws))
     return charts
 
 

@@ -12,7 +12,7 @@ from snakejax.diagnosis.residuals.replays import RunReplay
 from ..as_json.values import Json
 from ..as_text.errors import times_noise, times_noise_text
 from ..as_text.missing import determined
-from ..style import COMPONENTS, FORCES, HELDOUT, MEASURED, TRAIN, LineStyle
+from ..style import COMPONENTS, FORCES, HELDOUT, LAW, MEASURED, TRAIN, LineStyle
 from ..views import ModelView, doubt
 from .chart import EQUAL, Chart, Trace, axes, axis_name, band, bars, faint, line, plain, points, stacked, text, thinned
 
@@ -190,8 +190,10 @@ def tyre(models: Sequence[ModelView]) -> Chart:
     return Chart("tyre", label, tuple(traces), axes(unit, "force on a wheelset [N]"), 380)
 
 
-def missing(latent: LatentForce) -> list[Chart]:
-    """The missing force of each run over time, with a 95% band, each component on a scale of its own."""
+def missing(latent: LatentForce, model: ModelView, laws: Mapping[str, np.ndarray]) -> list[Chart]:
+    """The missing force of each run over time, with a 95% band, each component on a scale of its own; and the force of
+    `laws` by run, along the `model`."""
+    times = {scene.run: scene.times for scene in model.scenes}
     charts, observable = [], _observable(latent.runs)
     for k, run in enumerate(latent.runs):
         traces: list[Trace] = []
@@ -199,7 +201,10 @@ def missing(latent: LatentForce) -> list[Chart]:
             force, sd, on = run.force[:, c], run.sd[:, c], {"yaxis": axis_name(place)}
             traces.append(band(run.t, force - 1.96 * sd, force + 1.96 * sd, COMPONENTS[c], FORCES[c], **on))
             traces.append(line(run.t, force, COMPONENTS[c], FORCES[c], **on))
-        label = f"The missing force in {run.run}, with 95% bands."
+            if run.run in laws:
+                thin = thinned(times[run.run].size)
+                traces.append(line(times[run.run][thin], laws[run.run][thin, c], "law", LAW, **on))
+        label = f"The missing force in {run.run}, with 95% bands{', and the law' if laws else ''}."
         layout = stacked("time [s]", [COMPONENTS[c] for c in observable])
         charts.append(Chart(f"force-{k}", label, tuple(traces), layout, 120 + 90 * len(observable), run.run))
     return charts
@@ -229,8 +234,9 @@ def dependence(shares: Sequence[Json]) -> Chart:
     return Chart("dependence", "What the missing force depends on.", (trace,), layout, 90 + 22 * len(shares))
 
 
-def shape(latent: LatentForce, variable: str, model: ModelView) -> Chart:
-    """The missing force against the variable it depends on first; for a place in the world, as arrows on the ground."""
+def shape(latent: LatentForce, variable: str, model: ModelView, laws: Mapping[str, np.ndarray]) -> Chart:
+    """The missing force against the variable it depends on first, and that of `laws` by run along the `model`; for a
+    place in the world, as arrows on the ground."""
     scenes = {scene.run: scene for scene in model.scenes}
     if variable == "world_position":
         return _arrows(latent, scenes)
@@ -250,7 +256,15 @@ def shape(latent: LatentForce, variable: str, model: ModelView) -> Chart:
         traces.append(points(values, force, COMPONENTS[c], FORCES[c], error_y=sd, yaxis=axis_name(place)))
         traces[-1]["marker"]["size"] = 3
         traces[-1]["error_y"]["color"] = faint(FORCES[c].colour)
-    label = f"The missing force against {variable}, with 95% bars."
+        drawn = [
+            (scene, thinned(scene.times.size)) for scene in model.scenes if scene.run in laws and scene.role == "train"
+        ]
+        if drawn:
+            at = np.concatenate([_variable(scene, variable)[thin] for scene, thin in drawn])
+            law = np.concatenate([laws[scene.run][thin, c] for scene, thin in drawn])
+            traces.append(points(at, law, "law", LAW, yaxis=axis_name(place)))
+            traces[-1]["marker"]["size"] = 2
+    label = f"The missing force against {variable}, with 95% bars{', and the law' if laws else ''}."
     words = f"{variable.replace('_', ' ')} [{UNITS[variable]}]"
     layout = stacked(words, [COMPONENTS[c] for c in observable])
     return Chart("shape", label, tuple(traces), layout, 120 + 90 * len(observable))

@@ -169,6 +169,7 @@ def law(explanation: Explanation, size: str, charts: Sequence[figures.Chart]) ->
     sentences = plain_sentences(
         "No known effect brings the error down to the noise. This is the force that the base model lacks, along (X) and"
         f" across (Y) the board and about its vertical (N), with 95% bands; its root mean square is {size}.",
+        "The law is drawn in black, if it is a force.",
         *(f"{name}: {effect.expression}." for name, effect in explanation.named_laws.items()),
         *law_sentences(explanation),
     )
