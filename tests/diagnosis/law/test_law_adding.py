@@ -116,6 +116,8 @@ def test_of_laws_that_leave_only_noise_a_simpler_one_comes_first_if_chi_squared_
     ("left_out", "sizes", "misfits", "fitted", "exact"),
     [
         ((1.0, 1.001), (1, 1), (1.0,), ["x"], "x"),
+        # In the windows they are alike, and a chi^2 of 100 of whole runs tells them apart.
+        ((1.0, 1.0005), (1, 1), (1.0, 0.99), ["x", "y"], "y"),
         ((1.0, 1.001), (1, 1), (1.5, 1.0), ["x", "y"], "y"),
         ((1.0, 1.2), (1, 1), (1.5,), ["x"], None),
         ((1.1, 1.2), (1, 1), (), [], None),
@@ -131,7 +133,9 @@ def test_an_exact_law_leaves_only_noise_in_windows_and_in_whole_runs(
     left_out, sizes, misfits, fitted, exact, monkeypatch
 ) -> None:
     laws = tuple(
-        proposed((name,), 0.9, misfit)._replace(parameters=tuple(LawParameter(part, "N") for part in "ab"[:size]))
+        proposed((name,), 0.9, misfit)._replace(
+            parameters=tuple(LawParameter(part, "N") for part in "ab"[:size]), score=10_000 * misfit
+        )
         for name, misfit, size in zip("xy", left_out, sizes, strict=True)
     )
     solutions, tried = iter(misfits), []
@@ -142,6 +146,7 @@ def test_an_exact_law_leaves_only_noise_in_windows_and_in_whole_runs(
         return SimpleNamespace(problem=None, train=[]), SimpleNamespace(solution=solution)
 
     monkeypatch.setattr(exact_laws, "fitted_laws", fitted_laws)
+    monkeypatch.setattr(exact_laws, "wider", lambda windows, law: [])
     monkeypatch.setattr(exact_laws, "accept_addition", lambda candidate_set, before, after: True)
     monkeypatch.setattr(exact_laws, "run_misfits", lambda problem, solution, train: np.ones(0))
     like: Any = SimpleNamespace(candidate_set=None, step=SimpleNamespace(effects=()))
@@ -181,3 +186,29 @@ def test_a_smooth_function_goes_through_more_values_as_long_as_it_is_better(misf
 
     trials = exact_laws.smooth_trials(cast(Any, None), laws, fit)
     assert tried == fitted and trials[-1].laws[0].score == last
+
+
+@pytest.mark.parametrize(
+    ("misfits", "fitted", "kept"),
+    [
+        ((1.0,), [1], 1),  # only noise is left
+        ((1.2, 1.0), [1, 2], 2),
+        ((1.2, 1.1, 1.0), [1, 2, 4], 4),
+        # A chi^2 of 5 is not nearer.
+        ((1.2, 1.1995), [1, 2], 1),
+        ((1.2, None), [1, 2], 1),
+        ((None,), [1], None),
+    ],
+)
+def test_a_law_is_fitted_from_larger_widths_where_it_leaves_more_than_noise(misfits, fitted, kept, monkeypatch) -> None:
+    monkeypatch.setattr(exact_laws, "wider", lambda windows, law: [law._replace(score=s) for s in (2, 4)])
+    values, tried = iter(misfits), []
+
+    def fit(law: ProposedLaw) -> fitting.AddedLaws | None:
+        tried.append(law.score)
+        misfit = next(values)
+        solution: Any = SimpleNamespace(solution=SimpleNamespace(misfit=misfit, samples=10_000, loose=()))
+        return None if misfit is None else fitting.AddedLaws((law,), cast(Any, None), solution, np.full(2, misfit))
+
+    best = exact_laws._fitted_from_widths(cast(Any, None), proposed(("x",), 0.9)._replace(score=1), fit)
+    assert tried == fitted and (None if best is None else best.laws[0].score) == kept

@@ -6,7 +6,7 @@ import pytest
 from snakejax.core.formula import evaluated
 from snakejax.diagnosis.law.grammar import Family, Range, Term, families
 from snakejax.diagnosis.law.knots import KnotFit, hats_at
-from snakejax.diagnosis.law.search import finer, search, smooth_laws
+from snakejax.diagnosis.law.search import finer, search, smooth_laws, wider
 from snakejax.diagnosis.law.smooth_forms import smooth_of_one, smooth_of_two
 from snakejax.diagnosis.law.units import power, product, unit_text
 from snakejax.diagnosis.law.windows import ForceWindows
@@ -230,6 +230,20 @@ def test_a_function_of_two_variables_is_one() -> None:
     first = search(windows_of(law_of(("X", BELT))))[0]
     assert set(first.family.variables) == {"u", "rotor_angle"} and first.family.name == "smooth function of two"
     assert first.share > 0.9
+
+
+@pytest.mark.slow
+def test_a_form_with_a_width_begins_anew_from_larger_ones_that_leave_only_noise() -> None:
+    """A bump that is seen only where it begins is as well a wider one; seen whole it is not."""
+    whole = windows_of(law_of(("N", "-0.05 * exp(-((rotor_angle - 0.5) / 0.4) ** 2)")))
+    assert wider(whole, search(whole)[0]) == ()
+    faint = windows_of(law_of(("N", "-0.0004 * exp(-((rotor_angle - 0.5) / 0.4) ** 2)")))
+    law = next(law for law in search(whole) if law.family.name == "bump")
+    others = wider(faint, law)
+    assert [one.values["s"] / law.values["s"] for one in others] == [2.0, 4.0]
+    assert all(one.parameters == law.parameters and one.values["v0"] == law.values["v0"] for one in others)
+    straight = windows_of(law_of(("N", "-0.01 * rotor_rate")))
+    assert wider(straight, search(straight)[0]) == ()
 
 
 @pytest.mark.slow

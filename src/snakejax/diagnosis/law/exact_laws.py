@@ -13,7 +13,7 @@ from ..selection.candidates import CandidateFit, CandidateSet
 from ..selection.working_step import WorkingStep
 from .fitting import AddedLaws, fitted_laws
 from .regression import FEWEST_CHI2
-from .search import ProposedLaw, finer, smooth_laws
+from .search import ProposedLaw, finer, smooth_laws, wider
 from .windows import ForceWindows
 
 TRIED = 3
@@ -23,8 +23,12 @@ SMOOTH_TRIED = 2
 
 
 def is_needless(law: ProposedLaw, fitted: Sequence[AddedLaws]) -> bool:
-    """Whether a `law` need not be fitted, as one of those `fitted` leaves nothing and has no more parameters."""
-    return any(one.leaves_nothing and one.size <= len(law.parameters) for one in fitted)
+    """Whether a `law` need not be fitted, as one of those `fitted` leaves nothing, has no more parameters, and is
+    better in the windows too, by `FEWEST_CHI2`: of forms that are alike there whole runs tell which it is."""
+    return any(
+        one.leaves_nothing and one.size <= len(law.parameters) and law.score - one.laws[0].score > FEWEST_CHI2
+        for one in fitted
+    )
 
 
 def exact_law(
@@ -40,7 +44,9 @@ def exact_law(
     for law in _leaving_only_noise_of(missing.windows, missing.laws)[:TRIED]:
         if is_needless(law, exact_laws):
             continue
-        trial = _fitted(case, noise, like, missing, law, progress)
+        trial = _fitted_from_widths(
+            missing.windows, law, lambda one: _fitted(case, noise, like, missing, one, progress)
+        )
         exact = None if trial is None else leaving_only_noise(like, trial.laws, trial.candidate_set, trial.fit)
         if exact is not None:
             exact_laws.append(exact)
@@ -60,6 +66,28 @@ def exact_smooth_law(
     trials = smooth_trials(missing.windows, laws, lambda law: _fitted(case, noise, like, missing, law, progress))
     last = trials[-1] if trials else None
     return None if last is None else leaving_only_noise(like, last.laws, last.candidate_set, last.fit)
+
+
+def _fitted_from_widths(
+    windows: ForceWindows, law: ProposedLaw, fitted: Callable[[ProposedLaw], AddedLaws | None]
+) -> AddedLaws | None:
+    """A `law` as it is `fitted` to whole train runs; where it leaves more than noise, from larger widths too, as long
+    as that comes nearer.
+
+    In short windows a narrow bump and a wide one are alike, and the fit to whole runs may not find from one to the
+    other.
+    """
+    best = fitted(law)
+    if best is None or consistent_with_noise(best.fit.solution):
+        return best
+    for one in wider(windows, law):
+        trial = fitted(one)
+        if trial is None or not best.chi2 - trial.chi2 > FEWEST_CHI2:
+            break
+        best = trial
+        if consistent_with_noise(best.fit.solution):
+            break
+    return best
 
 
 def _leaving_only_noise_of(windows: ForceWindows, laws: Sequence[ProposedLaw]) -> list[ProposedLaw]:

@@ -25,6 +25,8 @@ SMOOTH = 3
 """The largest number of smooth functions among them, each of other variables or another action."""
 
 
+WIDER = (2.0, 4.0)
+"""Multiples of the width of a form from which a fit to whole runs begins anew."""
 GENERAL = {
     **{"x": "world_position", "y": "world_position", "u": "speed", "w": "speed", "theta": "heading"},
     **{"slip_speed": "slip", "slip_angle": "slip"},
@@ -97,6 +99,23 @@ def finer(windows: ForceWindows, law: ProposedLaw) -> tuple[ProposedLaw, ...]:
     ]
     more = [family for family in same if len(family.terms) > len(law.family.terms)]
     return tuple(_proposed(trial, windows.samples, trial.left_out) for trial in on_grids(windows, more, ()))
+
+
+def wider(windows: ForceWindows, law: ProposedLaw) -> tuple[ProposedLaw, ...]:
+    """`law` with its width `s` larger, `WIDER`, and amplitudes to match, where it leaves only noise in the windows too;
+    none where it has no width."""
+    at = [k for k, part in enumerate(law.family.shape) if part.name == "s"]
+    others = []
+    for times in WIDER if at else ():
+        shape = law.shape.copy()
+        shape[at] = np.minimum(times * shape[at], law.family.shape[at[0]].high)
+        (trial,) = form_at(windows, law.family, shape[None], ())
+        values = {term.amplitude: float(a) for term, a in zip(law.family.terms, trial.amplitudes, strict=True)}
+        values |= {part.name: float(value) for part, value in zip(law.family.shape, shape, strict=True)}
+        others.append(
+            law._replace(values=values, shape=shape, steps=trial.steps, left_out=trial.left_out / windows.samples)
+        )
+    return tuple(law for law in others if law.left_out <= largest_noise_misfit(windows.samples))
 
 
 def _best_trials(windows: ForceWindows, forms: Sequence[Family], given: Sequence[np.ndarray]) -> list[Trial]:
