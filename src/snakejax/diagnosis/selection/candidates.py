@@ -8,7 +8,6 @@ import equinox as eqx
 import numpy as np
 
 from snakejax.core.parameter import parameters
-from snakejax.dynamics.law import Law
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.ports import Delay, Effect
 from snakejax.estimation.discrepancy.priors import with_own_inertia
@@ -24,8 +23,6 @@ WIDTH = 13
 """How many parameters one compiled fit can free: a tyre and several effects."""
 ROOM = 9
 """At least so many of them are for effects."""
-BESIDE_LAWS = 4
-"""At least so many of them are for effects beside laws."""
 WORKERS = 2
 """Threads that fit candidates: each fit uses several cores by itself."""
 
@@ -85,8 +82,9 @@ class CandidateSet(eqx.Module):
             candidates[name] = tuple(part for part in parts if part not in how.held)
         tyre = tuple(n for n in default_free(model) if not n.startswith("effects.") and n not in how.held)
         names = [*tyre, *(part for parts in candidates.values() for part in parts)]
-        of_laws = sum(len(candidates[name]) for name in candidates if isinstance(library[name], Law))
-        width = max(WIDTH, len(tyre) + max(ROOM, of_laws + BESIDE_LAWS))
+        # As many as a selection may add, and one that it tries beside them.
+        sizes = sorted((len(parts) for parts in candidates.values()), reverse=True)[: criteria.most_effects + 1]
+        width = max(WIDTH, len(tyre) + max(ROOM, sum(sizes)))
         problem = Problem.of(full, case.runs, noise, names, width, threshold=how.threshold)
         windows = Windows.of(full, case.having("train"), noise, names, width, LENGTH)
         return CandidateSet(problem, windows, tyre, candidates, left_out, switched, criteria)
