@@ -16,7 +16,8 @@ from snakejax.diagnosis.selection.refit import base_fit, is_worse, no_worse
 from snakejax.diagnosis.selection.score_test import ProjectedResiduals, score
 from snakejax.diagnosis.selection.screening import ScreenedCandidate, screen_candidates
 from snakejax.diagnosis.selection.working_step import candidate_score, selection_step
-from snakejax.effects import ComOffset, GroundSlope, QuadraticDrag, TyreRelaxation, YawBias
+from snakejax.dynamics.law import LawParameter, law_class
+from snakejax.effects import LIBRARY, ComOffset, GroundSlope, QuadraticDrag, TyreRelaxation, YawBias
 from snakejax.estimation.goodness_of_fit import consistent_with_noise
 from snakejax.estimation.initial_model import starting_model
 from snakejax.estimation.uncertainty import contradicted, estimates_of, spread
@@ -198,3 +199,17 @@ def test_a_standard_error_knows_that_runs_contradict_each_other(model_of_a_slope
 def model_of_a_slope():
     model = Model(Board(**TABLE_II), Pacejka(B=8.0, C=1.4, D=7.0, E=0.0), "free").add(slope=GroundSlope())
     return model, ["tyre.D", "effects.slope.sx", "effects.slope.sy"]
+
+
+def test_a_selection_beside_a_large_law_has_room_for_all_effects_that_it_may_add() -> None:
+    """Where it has not, the fit of the last one that is tried ends the explanation."""
+    names = [f"c{k}" for k in range(14)]
+    smooth = law_class(f"X = spline(u, 0, 1, {', '.join(names)})", tuple(LawParameter(name, "N") for name in names))
+    library = {name: kind() for name, kind in LIBRARY.items()} | {"law_1": smooth()}
+    noise = case().noise
+    assert noise is not None
+    candidate_set = CandidateSet.of(starting_model(case()), case(), noise, library)
+    largest = sorted(candidate_set.candidates, key=lambda name: -len(candidate_set.candidates[name]))
+    assert largest[0] == "law_1"
+    chosen = largest[: candidate_set.criteria.most_effects + 1]
+    assert len(candidate_set.free(chosen)) <= candidate_set.problem.width
