@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from snakejax.core.errors import FitError
 from snakejax.core.parameter import Domain
 from snakejax.diagnosis.inexact import confidence, evidence
 from snakejax.diagnosis.inexact.assessment import Assessment
@@ -267,6 +268,17 @@ def test_damping_halves_the_step_of_which_the_recordings_say_least() -> None:
     assert [linear.adapted(least, ratio) / least for ratio in ratios] == pytest.approx(list(ratios.values()))
     assert linear.adapted(0.0, 0.25) == pytest.approx(1.125 * least)
     assert linear.adapted(0.0, 0.9) == linear.adapted(0.2 * least, 1.0) == 0.0
+
+
+@pytest.mark.parametrize("entry", [np.nan, np.inf])
+def test_a_fit_that_is_no_longer_finite_says_so(entry: float) -> None:
+    """A law may lead there, and is then none; NumPy would report that eigenvalues do not converge."""
+    subsets = SimpleNamespace(
+        gram=np.eye(3), with_effects=lambda _: SimpleNamespace(free=(0, 1), covariance=np.full((2, 2), entry))
+    )
+    linear = Linear(SimpleNamespace(effects=()), None, None, subsets)  # type: ignore[arg-type]
+    with pytest.raises(FitError, match="left the range of numbers"):
+        linear.increased(0.0)
 
 
 @pytest.mark.parametrize("excluded", [3e-4, 4e-3, 1.0])

@@ -97,10 +97,14 @@ class Linear(NamedTuple):
 
     @property
     def _least_damping(self) -> float:
-        """The least eigenvalue of the normal equations, scaled to a unit diagonal."""
+        """The least eigenvalue of the normal equations, scaled to a unit diagonal. **Raises:** `FitError` where they
+        are not finite."""
         columns = np.array(self.optimum.free, int) + 1
         alone = 1.0 / np.sqrt(np.maximum(np.diag(self.subsets.gram)[columns], 1e-300))
-        return float(1.0 / np.linalg.eigvalsh(self.optimum.covariance / np.outer(alone, alone))[-1])
+        scaled = self.optimum.covariance / np.outer(alone, alone)
+        if not np.isfinite(scaled).all():
+            raise FitError("The fit beside a random force left the range of numbers that the simulation can follow.")
+        return float(1.0 / np.linalg.eigvalsh(scaled)[-1])
 
     def under(self, discrepancy: Discrepancy) -> Subsets:
         """The problem under another discrepancy."""
