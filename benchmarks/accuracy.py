@@ -520,7 +520,7 @@ def _strangers_table(what: str, lines: list[dict[str, Any]]) -> None:
         depends = ", ".join(f"{name} {share:.2f}" for name, share in line["depends_on"] or ())
         wrong = "" if line["right"] else f"  ({line['variable']})"
         said = ", ".join([_called(line), *_falls(line), f"depends on {depends}"])
-        print(f"  {line['effect']:14}{line['skid']:8} {said}{wrong}")
+        print(f"  {line['effect']:15}{line['skid']:8} {said}{wrong}")
     print(_median(lines))
 
 
