@@ -23,6 +23,7 @@ from snakejax.present.as_json.schema import schema_of
 from snakejax.present.as_text.certainty import law_sentences
 from snakejax.present.as_text.first_lines import first_lines
 from snakejax.present.report import explanation_page
+from snakejax.present.report.charts import shape
 from snakejax.present.report.law_force import law_forces
 from snakejax.simulation.integrate import motions
 
@@ -136,3 +137,20 @@ def test_the_report_draws_a_law_that_is_a_force() -> None:
     found = dataclasses.replace(found, steps=(*found.steps[:-1], final))
     page = explanation_page(found, result(found) | NOTHING_SAID, models(found)).replace(" ", "")
     assert page.count('"name":"law"') >= 2, "over time, and over the variable"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("variable", "unit"), [("slip", "m/s"), ("time", "s"), ("speed", "m/s"), ("handle_angle", "rad")]
+)
+def test_the_force_over_a_variable_has_its_unit_on_any_vehicle(variable: str, unit: str) -> None:
+    """Another vehicle has joints of other names."""
+    found = told()
+    assert found.law is not None
+    view = models(found)[0]
+    scenes = tuple(
+        scene._replace(track=scene.track._replace(variables={**scene.track.variables, "handle_angle": scene.times}))
+        for scene in view.scenes
+    )
+    chart = shape(found.law, variable, view._replace(scenes=scenes), {})
+    assert f"{variable.replace('_', ' ')} [{unit}]" in json.dumps(chart.layout)

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from snakejax.diagnosis.latent_force.missing_force import LatentForce, RunForce
+from snakejax.diagnosis.law.units import unit_of, unit_text
 from snakejax.diagnosis.residuals.intervals import interval_misfits
 from snakejax.diagnosis.residuals.replays import RunReplay
 
@@ -26,8 +27,8 @@ MARGIN = 0.05
 AROUND_NOISE = 0.5, 2.0
 """The smallest range of an error axis, so that scatter about 1 does not look large."""
 ERROR = "error, multiples of the noise"
-UNITS = {"time": "s", "speed": "m/s", "slip": "m/s", "steering_rate": "rad/s", "rotor_rate": "rad/s"}
-UNITS |= dict.fromkeys(("heading", "gait_phase", "steering_angle", "rotor_angle"), "rad")
+UNITS = {"slip": "m/s", "gait_phase": "rad"}
+"""The units of variables that laws name otherwise; those of the others follow from their names."""
 COLOURBAR = {"title": {"text": ERROR, "side": "top"}, "thickness": 12, "orientation": "h", "y": 1.0}
 COLOURBAR |= {"tickvals": [*range(10)], "ticktext": ["1", "10", "100", "1000", *(f"1e{k}" for k in range(4, 10))]}
 COLOURBAR |= {"yanchor": "bottom", "x": 0.5, "len": 0.8}
@@ -265,7 +266,7 @@ def shape(latent: LatentForce, variable: str, model: ModelView, laws: Mapping[st
             traces.append(points(at, law, "law", LAW, yaxis=axis_name(place)))
             traces[-1]["marker"]["size"] = 2
     label = f"The missing force against {variable}, with 95% bars{', and the law' if laws else ''}."
-    words = f"{variable.replace('_', ' ')} [{UNITS[variable]}]"
+    words = f"{variable.replace('_', ' ')} [{UNITS.get(variable) or unit_text(unit_of(variable))}]"
     layout = stacked(words, [COMPONENTS[c] for c in observable])
     return Chart("shape", label, tuple(traces), layout, 120 + 90 * len(observable))
 
