@@ -1,5 +1,6 @@
 """Which steps and laws are kept: those that predict train runs left out, and no step after the best."""
 
+from collections.abc import Callable, Sequence
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -157,6 +158,19 @@ def test_an_exact_law_leaves_only_noise_in_windows_and_in_whole_runs(
     assert (None if added is None else added.laws[0].family.variables[0]) == exact
 
 
+def fits_that_leave(misfits: Sequence[float | None]) -> tuple[Callable[[ProposedLaw], fitting.AddedLaws | None], list]:
+    """A fit that leaves one of `misfits` after the other (None: it fails), and the scores of the laws it is given."""
+    values, tried = iter(misfits), []
+
+    def fit(law: ProposedLaw) -> fitting.AddedLaws | None:
+        tried.append(law.score)
+        misfit = next(values)
+        solution: Any = SimpleNamespace(solution=SimpleNamespace(misfit=misfit, samples=10_000, loose=()))
+        return None if misfit is None else fitting.AddedLaws((law,), cast(Any, None), solution, np.full(2, misfit))
+
+    return fit, tried
+
+
 @pytest.mark.parametrize(
     ("misfits", "fitted", "last"),
     [
@@ -176,13 +190,7 @@ def test_a_smooth_function_goes_through_more_values_as_long_as_it_is_better(misf
     monkeypatch.setattr(
         exact_laws, "finer", lambda windows, law: [law._replace(score=s) for s in finer[law.family.variables[0]]]
     )
-    values, tried = iter(misfits), []
-
-    def fit(law: ProposedLaw) -> fitting.AddedLaws | None:
-        tried.append(law.score)
-        misfit = next(values)
-        solution: Any = SimpleNamespace(solution=SimpleNamespace(misfit=misfit, samples=10_000, loose=()))
-        return None if misfit is None else fitting.AddedLaws((law,), cast(Any, None), solution, np.full(2, misfit))
+    fit, tried = fits_that_leave(misfits)
 
     trials = exact_laws.smooth_trials(cast(Any, None), laws, fit)
     assert tried == fitted and trials[-1].laws[0].score == last
@@ -202,13 +210,7 @@ def test_a_smooth_function_goes_through_more_values_as_long_as_it_is_better(misf
 )
 def test_a_law_is_fitted_from_larger_widths_where_it_leaves_more_than_noise(misfits, fitted, kept, monkeypatch) -> None:
     monkeypatch.setattr(exact_laws, "wider", lambda windows, law: [law._replace(score=s) for s in (2, 4)])
-    values, tried = iter(misfits), []
-
-    def fit(law: ProposedLaw) -> fitting.AddedLaws | None:
-        tried.append(law.score)
-        misfit = next(values)
-        solution: Any = SimpleNamespace(solution=SimpleNamespace(misfit=misfit, samples=10_000, loose=()))
-        return None if misfit is None else fitting.AddedLaws((law,), cast(Any, None), solution, np.full(2, misfit))
+    fit, tried = fits_that_leave(misfits)
 
     best = exact_laws._fitted_from_widths(cast(Any, None), proposed(("x",), 0.9)._replace(score=1), fit)
     assert tried == fitted and (None if best is None else best.laws[0].score) == kept

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 from snakejax.core.errors import FitError
 from snakejax.core.progress import Phase, Progress, ProgressEvent
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
-from snakejax.estimation.goodness_of_fit import consistent_with_noise
+from snakejax.estimation.goodness_of_fit import run_misfits
 from snakejax.recording.run import Case, Noise
 
 from ..latent_force.missing_force import LatentForce
 from ..selection.working_step import WorkingStep
-from .exact_laws import TRIED, is_needless, leaving_only_noise, likeliest, smooth_trials
+from .exact_laws import TRIED, explains_train_runs, is_needless, likeliest, smooth_trials
 from .fitting import AddedLaws, expected_misfits, fitted_laws, left_out_misfits, predicts_better
 from .search import ProposedLaw, search, smooth_laws
 
@@ -49,9 +49,9 @@ def best_laws(
             return None
         if not fit.solution.misfit < like.step.solution.misfit:
             return None
-        exact = leaving_only_noise(like, laws, candidate_set, fit)
-        if exact is not None:
-            return exact
+        if explains_train_runs(like, candidate_set, fit):
+            own = run_misfits(candidate_set.problem, fit.solution, candidate_set.train)
+            return AddedLaws(laws, candidate_set, fit, own)
         # Far from the noise a linear model says nothing about runs left out.
         progress(ProgressEvent(Phase.PREDICTION, f"does {texts} predict omitted runs?"))
         return AddedLaws(laws, candidate_set, fit, left_out_misfits(candidate_set, fit))
@@ -63,13 +63,13 @@ def best_laws(
         trial = added((law,))
         if trial is not None:
             trials.append(trial)
-    exact = [trial for trial in trials if consistent_with_noise(trial.fit.solution)]
+    exact = [trial for trial in trials if trial.leaves_only_noise]
     if exact:
         return [likeliest(exact)]
     smooth: list[AddedLaws] = []
     if missing.windows is not None:
         smooth = smooth_trials(missing.windows, smooth_laws(missing.windows), lambda law: added((law,)))
-    if smooth and consistent_with_noise(smooth[-1].fit.solution):
+    if smooth and smooth[-1].leaves_only_noise:
         return [smooth[-1]]
     trials += smooth
     best = min(trials, key=lambda trial: trial.left_out.mean(), default=None)

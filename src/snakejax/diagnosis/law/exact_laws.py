@@ -47,9 +47,8 @@ def exact_law(
         trial = _fitted_from_widths(
             missing.windows, law, lambda one: _fitted(case, noise, like, missing, one, progress)
         )
-        exact = None if trial is None else leaving_only_noise(like, trial.laws, trial.candidate_set, trial.fit)
-        if exact is not None:
-            exact_laws.append(exact)
+        if trial is not None and explains_train_runs(like, trial.candidate_set, trial.fit):
+            exact_laws.append(trial)
     return likeliest(exact_laws) if exact_laws else None
 
 
@@ -64,8 +63,8 @@ def exact_smooth_law(
         return None
     laws = _leaving_only_noise_of(missing.windows, smooth_laws(missing.windows))
     trials = smooth_trials(missing.windows, laws, lambda law: _fitted(case, noise, like, missing, law, progress))
-    last = trials[-1] if trials else None
-    return None if last is None else leaving_only_noise(like, last.laws, last.candidate_set, last.fit)
+    explains = bool(trials) and explains_train_runs(like, trials[-1].candidate_set, trials[-1].fit)
+    return trials[-1] if explains else None
 
 
 def _fitted_from_widths(
@@ -78,14 +77,14 @@ def _fitted_from_widths(
     other.
     """
     best = fitted(law)
-    if best is None or consistent_with_noise(best.fit.solution):
+    if best is None or best.leaves_only_noise:
         return best
     for one in wider(windows, law):
         trial = fitted(one)
         if trial is None or not best.chi2 - trial.chi2 > FEWEST_CHI2:
             break
         best = trial
-        if consistent_with_noise(best.fit.solution):
+        if best.leaves_only_noise:
             break
     return best
 
@@ -125,7 +124,7 @@ def smooth_trials(
                 break
             last = trial
             trials.append(trial)
-        if last is not None and consistent_with_noise(last.fit.solution):
+        if last is not None and last.leaves_only_noise:
             break
     return trials
 
@@ -144,10 +143,6 @@ def likeliest(exact_laws: Sequence[AddedLaws]) -> AddedLaws:
     return min((one for one in exact_laws if one.chi2 - least < FEWEST_CHI2), key=lambda one: (one.size, one.chi2))
 
 
-def leaving_only_noise(
-    like: WorkingStep, laws: tuple[ProposedLaw, ...], candidate_set: CandidateSet, fit: CandidateFit
-) -> AddedLaws | None:
-    """The `laws` of `fit` where it leaves only noise of whole train runs and is accepted after `like`; else None."""
-    if not (consistent_with_noise(fit.solution) and accept_addition(candidate_set, like.step, fit)):
-        return None
-    return AddedLaws(laws, candidate_set, fit, run_misfits(candidate_set.problem, fit.solution, candidate_set.train))
+def explains_train_runs(like: WorkingStep, candidate_set: CandidateSet, fit: CandidateFit) -> bool:
+    """Whether a `fit` with laws leaves only noise of whole train runs and is accepted after `like`."""
+    return consistent_with_noise(fit.solution) and accept_addition(candidate_set, like.step, fit)

@@ -49,6 +49,11 @@ class AddedLaws(NamedTuple):
         return sum(len(law.parameters) for law in self.laws)
 
     @property
+    def leaves_only_noise(self) -> bool:
+        """Whether the misfit may be that of noise."""
+        return consistent_with_noise(self.fit.solution)
+
+    @property
     def leaves_nothing(self) -> bool:
         """Whether the misfit is that of noise within its standard deviation."""
         return consistent_with_noise(self.fit.solution, sigmas=1.0)

@@ -162,9 +162,13 @@ def _functions(variable: str, interval: Range) -> Iterator[_Function]:
     yield _Function("bump", ((f"exp(-(({v} - v0) / s) ** 2)", 0),), (v0, width))
     yield _Function("peak", ((f"1 / (1 + (({v} - v0) / s) ** 2)", 0),), (v0, width))
     if variable in ("x", "y", "time") or variable.endswith("_angle"):
-        numbers = tuple(np.pi / interval.width * np.arange(1.0, 31.0))
-        k = ShapeParameter("k", power(unit, -1), numbers, 0.3 * numbers[0], 1.2 * numbers[-1])
-        yield _Function("wave", ((f"sin(k * {v})", 0), (f"cos(k * {v})", 0)), (k,))
+        yield _Function("wave", ((f"sin(k * {v})", 0), (f"cos(k * {v})", 0)), (wave_number(v, interval),))
+
+
+def wave_number(variable: str, interval: Range) -> ShapeParameter:
+    """The wave number k of a form that is periodic in a variable: half a wave to fifteen over what was seen of it."""
+    numbers = tuple(np.pi / interval.width * np.arange(1.0, 31.0))
+    return ShapeParameter("k", power(unit_of(variable), -1), numbers, 0.3 * numbers[0], 1.2 * numbers[-1])
 
 
 def acting(action: Action, formula: str) -> tuple[tuple[str, str], ...]:

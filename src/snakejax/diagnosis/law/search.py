@@ -23,8 +23,6 @@ KEPT = 6
 """The largest number of proposed laws."""
 SMOOTH = 3
 """The largest number of smooth functions among them, each of other variables or another action."""
-
-
 WIDER = (2.0, 4.0)
 """Multiples of the width of a form from which a fit to whole runs begins anew."""
 GENERAL = {
@@ -75,9 +73,9 @@ def search(windows: ForceWindows, beside: Sequence[tuple[Family, np.ndarray]] = 
     nothing = form_at(windows, NO_LAW, np.zeros((1, 0)), given)[0].left_out
     forms = list(families(windows.ranges(), windows.wheel))
     laws = _proposals(windows, _best_trials(windows, forms, given), len(forms), nothing)
-    least = min((law.left_out for law in laws), default=np.inf)
-    if laws and (windows.beside or least > largest_noise_misfit(windows.samples)):
-        most = min((law.score - FEWEST_CHI2 * max(1.0, law.left_out) for law in laws), default=np.inf)
+    noise = largest_noise_misfit(windows.samples)
+    if laws and (windows.beside or min(law.left_out for law in laws) > noise):
+        most = min(law.score - FEWEST_CHI2 * max(1.0, law.left_out) for law in laws)
         smooth = [law for law in _smooth_laws(windows, given, nothing, len(forms)) if law.score < most]
         laws = sorted([*laws, *smooth], key=lambda law: law.score)
     return tuple(_simplest_first(laws)[:KEPT])
@@ -110,11 +108,8 @@ def wider(windows: ForceWindows, law: ProposedLaw) -> tuple[ProposedLaw, ...]:
         shape = law.shape.copy()
         shape[at] = np.minimum(times * shape[at], law.family.shape[at[0]].high)
         (trial,) = form_at(windows, law.family, shape[None], ())
-        values = {term.amplitude: float(a) for term, a in zip(law.family.terms, trial.amplitudes, strict=True)}
-        values |= {part.name: float(value) for part, value in zip(law.family.shape, shape, strict=True)}
-        others.append(
-            law._replace(values=values, shape=shape, steps=trial.steps, left_out=trial.left_out / windows.samples)
-        )
+        left_out = trial.left_out / windows.samples
+        others.append(law._replace(values=_values(trial), shape=shape, steps=trial.steps, left_out=left_out))
     return tuple(law for law in others if law.left_out <= largest_noise_misfit(windows.samples))
 
 
@@ -175,10 +170,16 @@ def chance(family: Family, forms: int) -> float:
     return float(stats.chi2.isf(1.0 / trials, len(family.terms)) - len(family.terms))
 
 
+def _values(trial: Trial) -> dict[str, float]:
+    """The amplitudes of a trial and the parameters of its shape, by name."""
+    amplitudes, shape = (map(float, part) for part in (trial.amplitudes, trial.shape))
+    values = dict(zip((term.amplitude for term in trial.family.terms), amplitudes, strict=True))
+    return values | dict(zip((part.name for part in trial.family.shape), shape, strict=True))
+
+
 def _proposed(trial: Trial, samples: int, score: float) -> ProposedLaw:
     """The law of `trial`, with its amplitudes neutral at zero."""
-    family = trial.family
-    values = {term.amplitude: float(a) for term, a in zip(family.terms, trial.amplitudes, strict=True)}
+    family, values = trial.family, _values(trial)
     parameters = [LawParameter(term.amplitude, unit_text(term.unit)) for term in family.terms]
     expression = family.expression()
     if family.name == "spring" and abs(values["k"]) > 0:
@@ -188,7 +189,6 @@ def _proposed(trial: Trial, samples: int, score: float) -> ProposedLaw:
         parameters = [parameters[0], *(LawParameter(n, "m", values[n]) for n in ("x0", "y0"))]
     for part, value in zip(family.shape, trial.shape, strict=True):
         parameters.append(LawParameter(part.name, unit_text(part.unit), float(value), part.low, part.high))
-        values[part.name] = float(value)
     return ProposedLaw(
         expression, tuple(parameters), values, family, trial.shape, trial.left_out / samples, score, trial.steps
     )

@@ -27,8 +27,8 @@ from .grammar import (
     ShapeParameter,
     Term,
     acting,
+    wave_number,
 )
-from .units import power, unit_of
 
 KNOTS = (4, 6, 9, 14)
 """Numbers of knots of a spline."""
@@ -54,9 +54,8 @@ def smooth_of_one(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Fa
             for knots in KNOTS:
                 yield _spline(action, variable, interval, knots)
             if variable in ("x", "y") or (variable.endswith("_angle") and variable not in wheel):
-                numbers = tuple(np.pi / interval.width * np.arange(1.0, 31.0))
-                k = ShapeParameter("k", power(unit_of(variable), -1), numbers, 0.3 * numbers[0], 1.2 * numbers[-1])
-                yield _series(action, f"k * {variable}", 1, (k,))._replace(variables=(variable,))
+                shape = (wave_number(variable, interval),)
+                yield _series(action, f"k * {variable}", 1, shape)._replace(variables=(variable,))
 
 
 def smooth_of_two(

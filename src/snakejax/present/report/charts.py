@@ -243,6 +243,9 @@ def shape(latent: LatentForce, variable: str, model: ModelView, laws: Mapping[st
         return _arrows(latent, scenes)
     traces = []
     observable = _observable(latent.runs)
+    trained = [scene for scene in model.scenes if scene.run in laws and scene.role == "train"]
+    drawn = [(scene, thinned(scene.times.size)) for scene in trained]
+    at = np.concatenate([np.zeros(0), *(_variable(scene, variable)[thin] for scene, thin in drawn)])
     for place, c in enumerate(observable):
         parts = [
             (
@@ -257,11 +260,7 @@ def shape(latent: LatentForce, variable: str, model: ModelView, laws: Mapping[st
         traces.append(points(values, force, COMPONENTS[c], FORCES[c], error_y=sd, yaxis=axis_name(place)))
         traces[-1]["marker"]["size"] = 3
         traces[-1]["error_y"]["color"] = faint(FORCES[c].colour)
-        drawn = [
-            (scene, thinned(scene.times.size)) for scene in model.scenes if scene.run in laws and scene.role == "train"
-        ]
         if drawn:
-            at = np.concatenate([_variable(scene, variable)[thin] for scene, thin in drawn])
             law = np.concatenate([laws[scene.run][thin, c] for scene, thin in drawn])
             traces.append(points(at, law, "law", LAW, yaxis=axis_name(place)))
             traces[-1]["marker"]["size"] = 2

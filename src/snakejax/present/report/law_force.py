@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from snakejax.core.formula import evaluated, names_in
+from snakejax.core.formula import evaluated
 from snakejax.diagnosis.residuals.replays import RunReplay
 from snakejax.dynamics.law import ForceLaw, Law
 
@@ -30,8 +30,7 @@ def _force(law: ForceLaw, replay: RunReplay) -> Float[np.ndarray, "n 3"]:
     known |= {name: float(value) for name, value in law.values().items()}
     part = dict.fromkeys(("X", "Y", "N", "east", "north"), np.zeros(len(theta)))
     for name, tree in law.formulas.items():
-        values = {used: known[used] for used in names_in(tree)}
-        part[name] = part[name] + evaluated(tree, values, np)
+        part[name] = part[name] + evaluated(tree, known, np)
     c, s = np.cos(theta), np.sin(theta)
     along, across = c * part["east"] + s * part["north"], c * part["north"] - s * part["east"]
     return np.stack([part["X"] + along, part["Y"] + across, part["N"]], axis=1)
