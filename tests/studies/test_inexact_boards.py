@@ -127,6 +127,8 @@ def test_a_law_is_found_in_the_random_force() -> None:
         estimate = estimates[f"effects.law_1.{name}"]
         assert estimate.sd is not None and abs(estimate.value - true) < 3.3 * estimate.sd < abs(true)
     assert found.confidence["law_1"] in ("sure", "likely")
+    assert found.law is not None and found.law.depends_on[0][0] == "world_position"
+    assert found.law.laws[0].expression == law.expression
     before = next(step for step in found.steps if step.name == "rolling_resistance").heldout
     assert before is not None and found.final.heldout is not None
     assert found.final.heldout.misfit < before.misfit

@@ -81,6 +81,14 @@ def test_a_law_that_was_added_is_among_those_of_its_force_once() -> None:
     assert force.with_also((formula,)).laws == (formula,)
 
 
+def test_variables_of_the_best_law_come_before_others_that_explain_as_much() -> None:
+    shares = (("time", 0.8), ("world_position", 0.1))
+    force = LatentForce((), shares, None, None, {}, False).with_found([proposed(("y",), 0.8)])
+    assert force.depends_on == (("world_position", 0.8), ("time", 0.8))
+    assert force.left == 1.5
+    assert LatentForce((), shares, None, None, {}, False).left == np.inf
+
+
 @pytest.mark.parametrize(("second", "taken"), [(1.1, True), (1.4, False)])
 def test_a_second_law_must_take_away_half_of_what_the_first_leaves(second, taken, monkeypatch) -> None:
     found = (proposed(("x",), 0.9, left_out=second),)

@@ -13,6 +13,7 @@ from snakejax.estimation.uncertainty import Estimate, estimate_of
 from snakejax.recording.run import Run
 
 from ..explanation import RunBand
+from ..latent_force.missing_force import LatentForce
 from ..odd_runs import OddRun, odd_runs
 from ..selection.candidates import CandidateSet
 from .confidence import Confidence, confidence
@@ -30,7 +31,8 @@ class Assessment(NamedTuple):
     discrepancy of intervals (`interval_force`); `confidence` of each effect; `predicted`: runs left out; `evidence` of
     what else is there; `check` of the held-out runs; `floor` (3,) [m, m, rad]: what vehicle and cameras leave of whole
     runs; `bands` of all runs; `odd_runs` among the train runs; `candidate_set`: that of the search; `undecided_laws`:
-    formulas of laws among which the runs cannot choose, so that none of them is an effect.
+    formulas of laws among which the runs cannot choose, so that none of them is an effect; `law_force`: what is
+    missing without the law among the effects, and that law.
     """
 
     search: Search
@@ -47,6 +49,7 @@ class Assessment(NamedTuple):
     odd_runs: tuple[OddRun, ...]
     candidate_set: CandidateSet
     undecided_laws: tuple[str, ...] = ()
+    law_force: LatentForce | None = None
 
     def inside(self, role: str) -> float:
         """The mean share of the samples of the runs of `role` inside the bands of their predictions; 1 without any."""

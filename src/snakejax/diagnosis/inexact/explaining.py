@@ -5,12 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from snakejax.core.progress import Progress
+from snakejax.estimation.discrepancy.kalman import Discrepancy
 from snakejax.estimation.discrepancy.segment_dynamics import BODY
 from snakejax.estimation.discrepancy.segments import Segments
 from snakejax.estimation.discrepancy.strength import scales_of
 from snakejax.recording.run import Case, Noise
 
 from ..explanation import Explanation, PoseError, Remainder, TriedCandidate, vehicle_constants
+from ..latent_force.missing_force import LatentForce
 from ..residuals.dependence import general_name, residual_dependence, significant_shares
 from ..residuals.replays import replay_runs
 from ..selection.candidates import CandidateSet
@@ -19,8 +21,10 @@ from ..selection.steps import SelectionStep
 from .assessment import Assessment, assess
 from .candidate_model import candidate_model, movable_parameters
 from .evidence import ModelEvidence
+from .fitted_law import FittedLaw
 from .laws import LawChoice, choose_law
 from .left_out import with_predicting_effects
+from .random_force import random_force
 from .revision import search_effects
 from .search import Linear, Search
 from .steps import calibrated
@@ -67,11 +71,23 @@ def assess_effects(
     choice = LawChoice()
     if evidence.has_force:
         choice = choose_law(case, noise, candidate_set, search, linear, base)
-    laws: dict[str, tuple[str, ...]] = {}
-    if choice.law is not None:
-        candidate_set, search, linear = choice.law.candidate_set, choice.law.search, choice.law.linear
-        laws = {choice.law.name: choice.law.rivals}
-    return assess(candidate_set, search, linear, tuple(base), case.having("heldout"), laws, choice.undecided)
+    heldout = case.having("heldout")
+    if choice.law is None:
+        return assess(candidate_set, search, linear, tuple(base), heldout, {}, choice.undecided)
+    law = choice.law
+    assessment = assess(law.candidate_set, law.search, law.linear, tuple(base), heldout, {law.name: law.rivals})
+    return assessment._replace(law_force=force_without(law, linear.point.discrepancy))
+
+
+def force_without(law: FittedLaw, discrepancy: Discrepancy) -> LatentForce:
+    """What is missing beside everything else of the model with a `law`: the random force as strong as `discrepancy`
+    says, which was estimated without the law."""
+    search, values = law.search, law.search.values(law.linear)
+    columns = list(search.model.candidates[law.name])
+    values[columns] = search.model.neutral[columns]
+    forces = random_force(search, values, law.linear.point, discrepancy)
+    force = LatentForce(forces, (), None, None, {}, law.candidate_set.switched)
+    return force.with_found([law.proposal.law])
 
 
 def predicts_heldout_runs(assessment: Assessment, criteria: SelectionCriteria) -> bool:
@@ -115,6 +131,7 @@ def explanation_of(
         constants=vehicle_constants(final),
         bands=assessment.bands,
         odd_runs=assessment.odd_runs,
+        law=assessment.law_force,
         calibrated=None if final is steps[-1] else final,
     )
 

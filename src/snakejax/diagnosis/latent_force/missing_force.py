@@ -41,17 +41,18 @@ class LatentForce(Tabular):
     """The missing force of each run, and the variables on which it depends with their shares, best first.
 
     A share is the part of the misfit above noise that this variable alone predicts on omitted runs. `misfit`: mean
-    square of the residuals of the windows without and with the free force. `shape`: None if no variable predicts the
-    force. `beside`: the known effects that stay significant together with the force, including `lateral_skid` if the
-    structure does. `estimates`: parameters of the model to which the force is added, by name. `switched`: whether its
-    wheelsets slip separately although the case states the structure coupled. `windows`: the data for regressions on the
-    force. `laws`: the formulas that predict it on omitted runs, best first.
+    square of the residuals of the windows without and with the free force; None where it is the random force of whole
+    runs. `shape`: None if no variable predicts the force. `beside`: the known effects that stay significant together
+    with the force, including `lateral_skid` if the structure does. `estimates`: parameters of the model to which the
+    force is added, by name. `switched`: whether its wheelsets slip separately although the case states the structure
+    coupled. `windows`: the data for regressions on the force. `laws`: the formulas that predict it on omitted runs,
+    best first.
     """
 
     runs: tuple[RunForce, ...]
     depends_on: tuple[tuple[str, float], ...]
     shape: FittedFunction | None
-    misfit: tuple[float, float]
+    misfit: tuple[float, float] | None
     estimates: dict[str, Estimate]
     switched: bool
     beside: tuple[str, ...] = ()
@@ -62,19 +63,25 @@ class LatentForce(Tabular):
     def left(self) -> float:
         """The misfit that the best variable, or the best law, leaves."""
         best = self.depends_on[0][1] if self.depends_on else 0.0
-        return min([1 + (self.misfit[0] - 1) * (1 - best), *(law.left_out for law in self.laws)])
+        by_variable = [1 + (self.misfit[0] - 1) * (1 - best)] if self.misfit else []
+        return min([*by_variable, *(law.left_out for law in self.laws)], default=np.inf)
 
     def with_laws(self) -> "LatentForce":
         """This force with the laws that predict it on runs left out, and the shares of their variables."""
         if self.windows is None or len(self.runs) < 2:
             return self
-        laws, shares = search(self.windows), dict(self.depends_on)
+        return self.with_found(search(self.windows))
+
+    def with_found(self, laws: Sequence[ProposedLaw]) -> "LatentForce":
+        """This force with `laws`, the best first, and the shares of their variables where these are larger; of equal
+        shares those of the best law come first."""
+        shares = dict.fromkeys(laws[0].variables if laws else (), 0.0) | dict(self.depends_on)
         for k, law in enumerate(laws):
             # A law of two variables says what they explain together, so it counts for both only where it is the best.
             for variable in law.variables if k == 0 or len(law.variables) == 1 else ():
                 shares[variable] = max(shares.get(variable, 0.0), law.share)
         depends_on = tuple(sorted(shares.items(), key=lambda pair: -pair[1]))
-        return dataclasses.replace(self, laws=laws, depends_on=depends_on)
+        return dataclasses.replace(self, laws=tuple(laws), depends_on=depends_on)
 
     def with_also(self, laws: Sequence[ProposedLaw]) -> "LatentForce":
         """This force with `laws` among its own: smooth functions are proposed where no formula is good enough."""

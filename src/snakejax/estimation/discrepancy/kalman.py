@@ -296,19 +296,30 @@ def block_gram_matrices(
 
 def smooth(data: SegmentData, discrepancy: Discrepancy, step: Float[np.ndarray, " P"]) -> np.ndarray:
     """Deviations dz (R, K, nz) of the start states given all samples, after a `step` of the parameters."""
+    return smoothed(data, discrepancy, step)[0]
+
+
+def smoothed(
+    data: SegmentData, discrepancy: Discrepancy, step: Float[np.ndarray, " P"]
+) -> tuple[Float[np.ndarray, "R K nz"], Float[np.ndarray, "R K nz"]]:
+    """Deviations of the start states given all samples, after a `step` of the parameters, and their standard
+    deviations with the parameters known."""
     data = data.at_step(step)
     R, K, nz = len(data.rest), data.columns.shape[1], data.state.shape[-1]
     history = filter_runs(_on_device(data), _noise(discrepancy), jnp.zeros(K))[2]
     of = Filtered(*(np.asarray(part) for part in history))
-    smoothed = np.zeros((R, K, nz))
-    mean = of.after[:, -1, :, 0]
-    smoothed[:, -1] = mean[:, :nz]
-    for k in reversed(range(K - 1)):
-        cross = of.into[:, k + 1] @ of.to_end[:, k] @ of.after_covariance[:, k]
-        off = mean - of.before[:, k + 1, :, 0]
-        mean = of.after[:, k, :, 0] + np.einsum("rji,rj->ri", _gain(of.before_covariance[:, k + 1], cross), off)
-        smoothed[:, k] = mean[:, :nz]
-    return smoothed
+    deviations, variances = np.zeros((R, K, nz)), np.zeros((R, K, nz))
+    mean, covariance = of.after[:, -1, :, 0], of.after_covariance[:, -1]
+    for k in reversed(range(K)):
+        if k + 1 < K:
+            cross = of.into[:, k + 1] @ of.to_end[:, k] @ of.after_covariance[:, k]
+            gain = _gain(of.before_covariance[:, k + 1], cross)
+            off, more = mean - of.before[:, k + 1, :, 0], covariance - of.before_covariance[:, k + 1]
+            mean = of.after[:, k, :, 0] + np.einsum("rji,rj->ri", gain, off)
+            covariance = of.after_covariance[:, k] + np.swapaxes(gain, 1, 2) @ more @ gain
+        deviations[:, k] = mean[:, :nz]
+        variances[:, k] = np.einsum("rii->ri", covariance)[:, :nz]
+    return deviations, np.sqrt(np.maximum(variances, 0.0))
 
 
 def _gain(predicted: np.ndarray, cross: np.ndarray) -> np.ndarray:

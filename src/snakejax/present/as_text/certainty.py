@@ -39,9 +39,10 @@ def law_sentences(explanation: Explanation) -> Iterator[str]:
     if force is None or not force.laws:
         return
     shares = [f"{variable.replace('_', ' ')} {percent(share)}" for variable, share in force.depends_on[:3]]
+    above = "the noise" if force.misfit else "noise and random force"
     if shares:
         yield (
-            "Share of the squared error above the noise, on omitted runs, that a force of one variable alone predicts:"
+            f"Share of the squared error above {above}, on omitted runs, that a force of one variable alone predicts:"
             f" {', '.join(shares)}."
         )
     taken = {law.expression for law in explanation.named_laws.values()}

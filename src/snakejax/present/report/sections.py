@@ -166,9 +166,15 @@ def tyre(models: Sequence[ModelView]) -> Section:
 
 def law(explanation: Explanation, size: str, charts: Sequence[figures.Chart]) -> Section:
     """The force of which a law was found, its `size` in words, and the law."""
+    assert explanation.law is not None
+    lacking = (
+        "No known effect brings the error down to the noise. This is the force that the base model lacks"
+        if explanation.law.misfit
+        else "A law was found in the random force. This is the force that the model lacks without the law"
+    )
     sentences = plain_sentences(
-        "No known effect brings the error down to the noise. This is the force that the base model lacks, along (X) and"
-        f" across (Y) the board and about its vertical (N), with 95% bands; its root mean square is {size}.",
+        f"{lacking}, along (X) and across (Y) the board and about its vertical (N), with 95% bands; its root mean"
+        f" square is {size}.",
         "The law is drawn in black, if it is a force.",
         *(f"{name}: {effect.expression}." for name, effect in explanation.named_laws.items()),
         *law_sentences(explanation),

@@ -1,0 +1,33 @@
+"""The random force along the recorded runs, as its most likely history: what is missing beside the effects."""
+
+import numpy as np
+
+from snakejax.estimation.discrepancy.kalman import Discrepancy, moved_states, smoothed
+from snakejax.estimation.discrepancy.segment_dynamics import FORCE
+
+from ..latent_force.missing_force import RunForce
+from .search import Point, Search
+
+ROUNDS = 2
+"""Linearisations of the states at which the force is estimated."""
+
+
+def random_force(search: Search, values: np.ndarray, point: Point, discrepancy: Discrepancy) -> tuple[RunForce, ...]:
+    """The force of each run with all parameters at `values`, near the states of `point`, where noise and a random force
+    are as `discrepancy` says; the standard deviations are those with the parameters known.
+
+    A force is constant over a segment, and stands at its middle.
+    **Raises:** `FitError` where the simulation is not finite.
+    """
+    segments, point, none = search.segments, point._replace(values=values), np.zeros(len(values))
+    cut, sd = segments.cut, np.zeros(0)
+    for _ in range(ROUNDS):
+        deviation, sd = smoothed(search.data(point), discrepancy, none)
+        point = point._replace(z=moved_states(cut, point.z, deviation))
+    ratio, forces = segments.force_ratio(values), []
+    for number, run in enumerate(segments.runs):
+        own = cut.run == number
+        times = (cut.times[own, 0] + cut.times[own, -1]) / 2
+        error = sd[number, : own.sum(), -FORCE:] * ratio
+        forces.append(RunForce(run.name, times, point.z[own, -FORCE:] * ratio, error))
+    return tuple(forces)
