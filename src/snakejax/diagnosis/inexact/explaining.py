@@ -85,9 +85,8 @@ def force_without(law: FittedLaw, discrepancy: Discrepancy) -> LatentForce:
     search, values = law.search, law.search.values(law.linear)
     columns = list(search.model.candidates[law.name])
     values[columns] = search.model.neutral[columns]
-    forces = random_force(search, values, law.linear.point, discrepancy)
-    force = LatentForce(forces, (), None, None, {}, law.candidate_set.switched)
-    return force.with_found([law.proposal.law])
+    forces = random_force(search, law.linear.point._replace(values=values, discrepancy=discrepancy))
+    return LatentForce(forces, (), None, None, {}, law.candidate_set.switched).with_found([law.proposal.law])
 
 
 def predicts_heldout_runs(assessment: Assessment, criteria: SelectionCriteria) -> bool:
@@ -113,6 +112,12 @@ def explanation_of(
         "cameras and a random force" if assessment.evidence.has_force else "cameras",
     )
     share, explained_share = shares_of(steps)
+    remainder = _remainder(final, noise_floor, assessment.undecided_laws)
+    missing = None
+    if not explained and assessment.evidence.has_force:
+        point = assessment.linear.point._replace(values=assessment.values)
+        forces = random_force(assessment.search, point)
+        missing = LatentForce(forces, remainder.depends_on, None, None, {}, assessment.candidate_set.switched)
     return Explanation(
         case,
         noise,
@@ -121,12 +126,12 @@ def explanation_of(
         claimed if verdict == "explained" else (),
         () if verdict == "explained" else claimed,
         base.left_out,
-        None,
+        missing,
         confidence={effect: assessment.confidence[effect].word for effect in assessment.effects},
         share=share,
         explained_share=explained_share,
         floor=noise_floor,
-        remainder=_remainder(final, noise_floor, assessment.undecided_laws),
+        remainder=remainder,
         candidates=_tried(assessment, steps),
         constants=vehicle_constants(final),
         bands=assessment.bands,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from snakejax.estimation.discrepancy.kalman import Discrepancy, moved_states, smoothed
+from snakejax.estimation.discrepancy.kalman import moved_states, smoothed
 from snakejax.estimation.discrepancy.segment_dynamics import FORCE
 
 from ..latent_force.missing_force import RunForce
@@ -12,19 +12,19 @@ ROUNDS = 2
 """Linearisations of the states at which the force is estimated."""
 
 
-def random_force(search: Search, values: np.ndarray, point: Point, discrepancy: Discrepancy) -> tuple[RunForce, ...]:
-    """The force of each run with all parameters at `values`, near the states of `point`, where noise and a random force
-    are as `discrepancy` says; the standard deviations are those with the parameters known.
+def random_force(search: Search, point: Point) -> tuple[RunForce, ...]:
+    """The force of each run near `point`, with its parameters and its discrepancy; the standard deviations are those
+    with the parameters known.
 
     A force is constant over a segment, and stands at its middle.
     **Raises:** `FitError` where the simulation is not finite.
     """
-    segments, point, none = search.segments, point._replace(values=values), np.zeros(len(values))
+    segments, none = search.segments, np.zeros(len(point.values))
     cut, sd = segments.cut, np.zeros(0)
     for _ in range(ROUNDS):
-        deviation, sd = smoothed(search.data(point), discrepancy, none)
+        deviation, sd = smoothed(search.data(point), point.discrepancy, none)
         point = point._replace(z=moved_states(cut, point.z, deviation))
-    ratio, forces = segments.force_ratio(values), []
+    ratio, forces = segments.force_ratio(point.values), []
     for number, run in enumerate(segments.runs):
         own = cut.run == number
         times = (cut.times[own, 0] + cut.times[own, -1]) / 2

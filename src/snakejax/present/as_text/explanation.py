@@ -102,6 +102,8 @@ def _dependence(explanation: Explanation) -> RenderableType:
         Text(f"Still significant together with it: {effect}: {known(effect)} {values_text(estimates)}")
         for effect, estimates in coexisting_effects(explanation).items()
     ]
+    if missing.misfit is None:
+        return Text(size)
     if missing.shape is None:
         return Group(*survivors, Text(size), Text("No variable of these runs predicts it."))
     (first, best), *others = missing.depends_on

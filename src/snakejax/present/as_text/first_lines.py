@@ -54,14 +54,14 @@ def _causes(explanation: Explanation) -> Iterator[str]:
 
 
 def _missing(force: LatentForce) -> str:
-    depends = "It depends on no variable of these runs."
+    depends = "It depends on no variable of these runs." if force.misfit else ""
     if force.shape is not None and force.depends_on:
         variable, share = force.depends_on[0]
         depends = (
             f"A force that depends on {variable.replace('_', ' ')} alone predicts {100 * share:.0f} % of the squared"
             " error above the noise on omitted runs."
         )
-    return f"A force is missing: {components_text(force)} (root mean square). {depends}"
+    return f"A force is missing: {components_text(force)} (root mean square). {depends}".rstrip()
 
 
 def _error(explanation: Explanation) -> str:

@@ -68,7 +68,7 @@ def missing(explanation: Explanation) -> Figure:
     for axis in axes[-1]:
         axis.set_xlabel("time [s]")
     bars = below.subplots()
-    names, shares = zip(*explanation.missing.depends_on, strict=True)
-    bars.barh(names[::-1], 100 * np.array(shares[::-1]), color=TRAIN)
+    depends_on = dict(reversed(explanation.missing.depends_on))
+    bars.barh(list(depends_on), [100 * share for share in depends_on.values()], color=TRAIN)
     bars.set(xlabel="squared error above the noise that each variable alone predicts, omitted runs [%]", xlim=(0, 100))
     return figure
