@@ -1,6 +1,9 @@
 """Other ways to a law that no library holds, on boards with a hidden one: held-out misfit and seconds of each.
 
-    python benchmarks/law_peers.py ["STRUCTURE NAME" ...]     the boards of benchmarks/boards.py, default: all
+    python benchmarks/law_peers.py [--ways GP,gplearn] ["STRUCTURE NAME" ...]     default: all ways, all boards
+
+The boards are the strangers of benchmarks/boards.py. Where snakejax is not among the ways, its line is that of the same
+board in benchmarks/accuracy.jsonl.
 
 All start from the same base model (four fitted tyre parameters) and are validated on the same held-out runs, on which
 only the start poses are estimated. Each line names the variable on which the hidden law depends.
@@ -15,8 +18,10 @@ network   a neural residual in equinox: two hidden layers of 16 (tanh) from the 
 The seconds of the last three hold the estimate of that force, which each makes for itself.
 """
 
+import argparse
+import json
 import statistics
-import sys
+from pathlib import Path
 
 from snakejax import prepare_jax
 
@@ -155,7 +160,16 @@ WAYS = {
 }
 
 
-def main(chosen: list[str]) -> None:
+def of_table(key: str) -> tuple[float, float]:
+    """The held-out misfit and the seconds of snakejax on the board `key`, as benchmarks/accuracy.jsonl has them."""
+    lines = map(json.loads, (Path(__file__).parent / "accuracy.jsonl").read_text().splitlines())
+    (line,) = (line for line in lines if line["part"] == "strangers" and line["key"] == key)
+    held, seconds = line["heldout"][1], line["seconds"]
+    print(f"  {'snakejax':9} held out {held:10.4g}            {line['verdict']}, of accuracy.jsonl", flush=True)
+    return held, seconds
+
+
+def main(chosen: list[str], ways: dict) -> None:
     """One line a board and method; the medians, and on how many boards each way predicts held-out runs best."""
     start_jax()
     known = {**boards.STRANGERS, **boards.MORE_STRANGERS}
@@ -166,8 +180,9 @@ def main(chosen: list[str]) -> None:
         k = list(known).index(name)
         effect, variable = known[name]
         case = boards.case(boards.make_long(5000 + k, structure), 5000 + k, **{name: effect})
-        results.append(side_by_side(f"{key} ({variable})", case, boards.NOISE, WAYS))
-    for way in WAYS:
+        of_board = side_by_side(f"{key} ({variable})", case, boards.NOISE, ways)
+        results.append(of_board if "snakejax" in ways else {"snakejax": of_table(key), **of_board})
+    for way in results[0]:
         left, seconds = zip(*(result[way] for result in results), strict=True)
         best = sum(result[way][0] <= min(held for held, _ in result.values()) for result in results)
         wins = f"below 2 on {sum(held < 2 for held in left)} of {len(left)}, best on {best}"
@@ -175,4 +190,8 @@ def main(chosen: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options.add_argument("boards", nargs="*")
+    options.add_argument("--ways", default=",".join(WAYS))
+    given = options.parse_args()
+    main(given.boards, {way: WAYS[way] for way in given.ways.split(",")})

@@ -210,7 +210,7 @@ def judged(model: Model, known: Latent, force: Force, case, noise, what: str = "
 def ours(case, noise, bench: CandidateSet, step: CandidateFit, model: Model) -> tuple[str, float]:
     found = explain(case, noise, CANDIDATES)
     what = found.verdict + (": " + ", ".join(found.effects) if found.effects else "")
-    if found.missing is not None:
+    if found.missing is not None and found.missing.depends_on:
         what += f"; depends on {found.missing.depends_on[0][0]}"
     return what, math.nan if found.final.heldout is None else found.final.heldout.misfit
 

@@ -23,6 +23,7 @@ from snakejax.estimation.discrepancy.kalman import (
     gram_matrices,
     segment_data,
     smooth,
+    smoothed,
 )
 from snakejax.estimation.discrepancy.least_squares import Prior, optimum, quadratic
 from snakejax.estimation.discrepancy.open_loop import open_loop
@@ -69,12 +70,13 @@ def made_up(seed: int, lost: bool = True) -> SegmentData:
 
 class Dense(NamedTuple):
     """All samples of one run at once: columns `Y` (N, P + 1), covariance `V` (N, N) of the first, and the `mean`
-    (K, NZ, P + 1) of the states with their covariance (K, NZ, N) with the samples."""
+    (K, NZ, P + 1) of the states with their variance (K, NZ) and their covariance (K, NZ, N) with the samples."""
 
     Y: np.ndarray
     V: np.ndarray
     mean: np.ndarray
     cross: np.ndarray
+    variance: np.ndarray
 
 
 def dense_samples(data: SegmentData, of: Discrepancy, start_sd: float = 1.0) -> Dense:
@@ -114,12 +116,12 @@ def dense_samples(data: SegmentData, of: Discrepancy, start_sd: float = 1.0) -> 
         np.exp(-np.abs(t[:, None] - t) / of.wander_time) * (of.wander[channel] ** 2)[:, None],
         0.0,
     )
-    return Dense(Y, V, mean, np.array([Z[k] * scale**2 @ H.T for k in range(K)]))
+    return Dense(Y, V, mean, np.array([Z[k] * scale**2 @ H.T for k in range(K)]), (Z * scale) ** 2 @ np.ones(total))
 
 
 def dense(data: SegmentData, of: Discrepancy) -> tuple[np.ndarray, float, np.ndarray]:
     """Gram matrix, log determinant and smoothed states of one run from the covariance of everything at once."""
-    Y, V, mean, cross = dense_samples(data, of)
+    Y, V, mean, cross, _ = dense_samples(data, of)
     inverse = np.linalg.inv(V)
     return Y.T @ inverse @ Y, float(np.linalg.slogdet(V)[1]), mean + cross @ inverse @ Y
 
@@ -138,6 +140,15 @@ def test_states_are_smoothed_by_all_samples() -> None:
     data, step = made_up(5), np.array([0.3, -0.7])
     states = dense(data, DISCREPANCY)[2] @ np.concatenate([[1.0], -step])
     np.testing.assert_allclose(smooth(data, DISCREPANCY, step)[0], states, rtol=1e-6, atol=1e-8)
+
+
+def test_smoothed_states_are_as_uncertain_as_all_samples_leave_them() -> None:
+    data = made_up(5)
+    _, V, _, cross, variance = dense_samples(data, DISCREPANCY)
+    known = variance - np.einsum("kin,nm,kim->ki", cross, np.linalg.inv(V), cross)
+    assert (known < 0.9 * variance).any()
+    found = smoothed(data, DISCREPANCY, np.zeros(P))[1][0]
+    np.testing.assert_allclose(found, np.sqrt(known), rtol=1e-6, atol=1e-7)
 
 
 def test_restarts_part_a_run() -> None:
@@ -175,7 +186,7 @@ def test_an_open_loop_simulation_errs_by_force_and_noise() -> None:
 def test_an_open_loop_prediction_is_that_of_dense_matrices(seed: int) -> None:
     """Without any measurement the covariance of the samples is that of start, force, noise and parameters."""
     data, covariance = made_up(seed, lost=False), np.array([[0.3, 0.1], [0.1, 0.2]])
-    Y, V, _, _ = dense_samples(data, DISCREPANCY, start_sd=0.0)
+    Y, V, *_ = dense_samples(data, DISCREPANCY, start_sd=0.0)
     found, step = open_loop(data, DISCREPANCY, range(P)), np.array([[0.3, -0.7]])
     np.testing.assert_allclose(found.columns.reshape(-1, 1 + P), Y, rtol=1e-9)
     np.testing.assert_allclose(found.variance.reshape(-1), np.diag(V), rtol=1e-9)
