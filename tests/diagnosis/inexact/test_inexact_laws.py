@@ -80,6 +80,7 @@ def chooser(
     plain = SimpleNamespace(deviance=lambda effects: np.full(3, 100.0), mean_square=lambda effects: ERRORS)
     monkeypatch.setattr(laws, "left_out", lambda search, linear: plain)
     search: Any = SimpleNamespace(progress=lambda event: None, criteria=CRITERIA)
+    monkeypatch.setattr(laws, "may_explain", lambda search, linear, proposal: True)
     none: Any = None
 
     def choose_law(runs: int, effects: tuple[str, ...] = ()) -> Any:
@@ -142,6 +143,21 @@ def test_of_laws_that_do_as_well_the_one_that_predicts_runs_left_out_best_is_kep
     got = choose_law(3).law
     assert got is not None and got.name == kept and got.rivals == rivals
     assert choose_law(1) == laws.LawChoice()
+
+
+@pytest.mark.parametrize(
+    ("largest", "share", "may"),
+    [(0.9, 0.7, False), (0.9, 0.98, True), (0.3, 0.7, False), (0.3, 0.76, True), (0.1, 0.0, True)],
+)
+def test_a_law_that_leaves_a_force_too_large_for_a_random_one_is_not_fitted(largest, share, may) -> None:
+    """It may be at most 5% of the forces that move the board; beside a third of it the law takes away a share."""
+    force = np.array([0.01, largest, 0.0]) * 2.0
+    point = SimpleNamespace(discrepancy=SimpleNamespace(force=force))
+    search: Any = SimpleNamespace(scales=SimpleNamespace(force=np.full(3, 2.0)), criteria=CRITERIA)
+    linear: Any = SimpleNamespace(point=point)
+    one = proposal("law", "Y", ("r",), 1000.0)
+    one = one._replace(law=one.law._replace(share=share))
+    assert bool(laws.may_explain(search, linear, one)) is may
 
 
 @pytest.mark.parametrize(("exact", "kept"), [(True, "first"), (False, "second")])

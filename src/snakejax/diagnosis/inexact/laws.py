@@ -48,8 +48,8 @@ def choose_law(
     but one run; nor where it takes the place of a known effect and these runs cannot distinguish the two. A law that
     raises the error of whole runs left out is not kept: beside a random force it may follow each run better, and lead a
     simulation astray. Where laws of other variables do as well, it is not known which is right, and a wrong one may do
-    harm in other motions: there it must lower that error by more than the standard error. After a law that leaves only
-    noise no other one is fitted.
+    harm in other motions: there it must lower that error by more than the standard error. A law that cannot explain
+    (`may_explain`) is not fitted, and after one that leaves only noise no other is.
     """
     if len(linear.gram) < 2:
         return LawChoice()
@@ -59,7 +59,7 @@ def choose_law(
     before, effects = left_out(search, linear), linear.point.effects
     whole = before.mean_square(effects)
     fitted: list[FittedLaw] = []
-    for one in near(ordered, search.criteria.distinct_chi2):
+    for one in (one for one in near(ordered, search.criteria.distinct_chi2) if may_explain(search, linear, one)):
         search.progress(ProgressEvent(Phase.LAW_FIT, f"fitting {one.law.expression} together with a random force"))
         with_one = fit_law(case, noise, candidate_set, search, base, one)
         if with_one is not None and with_one.mean_square.sum() < whole.sum():
@@ -97,6 +97,13 @@ def near(ordered: Sequence[Proposal], distinct_chi2: float) -> list[Proposal]:
     """The first few proposals, whose chi^2 on runs left out is less than twice `distinct_chi2` above the best: in the
     segments the parameters beside a law are held, and the random force is weaker than it is."""
     return [one for one in ordered if one.penalised - ordered[0].penalised < 2 * distinct_chi2][:TRIED]
+
+
+def may_explain(search: Search, linear: Linear, proposal: Proposal) -> bool:
+    """Whether the random force beside a law may become as small as that of an explanation: of its square the law takes
+    away the share that it takes of the misfit in the segments, where the force is weaker by `WEAKER`."""
+    largest = float(np.max(linear.point.discrepancy.force / search.scales.force))
+    return WEAKER * largest * np.sqrt(1 - proposal.law.share) <= search.criteria.largest_random_force
 
 
 def distinct(proposals: Sequence[Proposal]) -> list[Proposal]:
