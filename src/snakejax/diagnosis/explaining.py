@@ -272,7 +272,8 @@ def _conclude(
         missing = latent_force_of(diagnosis, last, progress)
         steps_with_laws, force = with_laws(case, noise, diagnosis, last, missing, progress)
         by_laws = conclude_with_law(case, noise, diagnosis, steps_with_laws, force) if steps_with_laws else None
-        if not law_was_sought and (by_laws is None or by_laws.verdict != "explained"):
+        is_exact = bool(steps_with_laws) and consistent_with_noise(steps_with_laws[-1].step.solution)
+        if not (law_was_sought or is_exact):
             by_laws = by_exact_law_beside(case, noise, diagnosis, progress) or by_laws
         if by_laws is not None:
             return by_laws

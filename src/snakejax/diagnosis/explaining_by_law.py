@@ -45,21 +45,21 @@ def with_laws(
 
 
 def by_exact_law(case: Case, noise: Noise, diagnosis: BaseDiagnosis, progress: Progress) -> Explanation | None:
-    """The explanation by one law, with which only noise is left, in held-out runs too: it needs no random force. By a
-    formula or a smooth function alone, or by a formula beside a known effect."""
+    """The explanation by one law, with which only noise is left of the train runs: it needs no random force. By a
+    formula or a smooth function alone, or by a formula beside a known effect; held-out runs judge the first of these
+    that is found."""
     missing = latent_force_of(diagnosis, diagnosis.base, progress)
     like = _structure_of(diagnosis, missing)
     for find in (exact_law, exact_smooth_law):
         law = find(case, noise, like, missing, progress)
-        explanation = _by_law(case, noise, diagnosis, like, law, missing)
-        if explanation is not None:
-            return explanation
+        if law is not None:
+            return _by_law(case, noise, diagnosis, like, law, missing)
     return by_exact_law_beside(case, noise, diagnosis, progress)
 
 
 def by_exact_law_beside(case: Case, noise: Noise, diagnosis: BaseDiagnosis, progress: Progress) -> Explanation | None:
     """The explanation by a known effect, of those that lower the misfit most, and one law, with which only noise is
-    left. The law shows once the effect is in the model: before, the force holds what both do."""
+    left of the train runs. The law shows once the effect is in the model: before, the force holds what both do."""
     base = diagnosis.base
     ordered = trial_order(base.ranking, base.candidate_set.criteria)
     refits = [(row.effect, row.refit) for row in ordered if row.refit is not None and not row.failed]
@@ -68,27 +68,18 @@ def by_exact_law_beside(case: Case, noise: Noise, diagnosis: BaseDiagnosis, prog
         known = selection_step(base.candidate_set, "added", effect, step)
         missing = estimate_latent_force(base.candidate_set, step, progress).with_laws()
         law = exact_law(case, noise, known, missing, progress)
-        explanation = _by_law(case, noise, diagnosis, known, law, missing)
-        if explanation is not None:
-            return explanation
+        if law is not None:
+            return _by_law(case, noise, diagnosis, known, law, missing)
     return None
 
 
 def _by_law(
-    case: Case,
-    noise: Noise,
-    diagnosis: BaseDiagnosis,
-    like: WorkingStep,
-    law: AddedLaws | None,
-    missing: LatentForce,
-) -> Explanation | None:
-    """The explanation by the step `like` and a `law` of `missing`, where only noise is left; None where it is not."""
-    if law is None:
-        return None
+    case: Case, noise: Noise, diagnosis: BaseDiagnosis, like: WorkingStep, law: AddedLaws, missing: LatentForce
+) -> Explanation:
+    """The explanation by the step `like` and a `law` of `missing`."""
     added = selection_step(law.candidate_set, "added", law.names[0], law.fit)
     steps = [added] if like is diagnosis.base else [like, added]
-    explanation = conclude_with_law(case, noise, diagnosis, steps, missing.with_also(law.laws))
-    return explanation if explanation.verdict == "explained" else None
+    return conclude_with_law(case, noise, diagnosis, steps, missing.with_also(law.laws))
 
 
 def _structure_of(diagnosis: BaseDiagnosis, missing: LatentForce) -> WorkingStep:
