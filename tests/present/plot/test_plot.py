@@ -147,6 +147,13 @@ def test_another_curve_is_seen_to_be_another(name, model, tmp_path) -> None:
     assert compare_images(str(PICTURES / f"{name}.png"), str(tmp_path / "other.png"), tol=TOLERANCE) is not None
 
 
+def test_a_random_force_is_drawn_without_the_variables_that_nobody_knows() -> None:
+    force = story().missing
+    assert force is not None
+    axes = plot.missing(told(missing=dataclasses.replace(force, depends_on=()))).axes
+    assert len(axes) == 3 * len(force.runs) == len(plot.missing(story()).axes) - 1
+
+
 def test_figures_are_written_as_raster_and_as_vector_and_the_same_each_time(model, tmp_path) -> None:
     first = [path.read_bytes() for path in plot.save(plot.paths([model]), tmp_path / "a", "paths")]
     again = plot.save(plot.paths([model]), tmp_path / "b", "paths")

@@ -48,11 +48,11 @@ def missing(explanation: Explanation) -> Figure:
         raise ValueError(
             f"The explanation of {explanation.case.name} has no missing force: it is {explanation.verdict}."
         )
-    runs = explanation.missing.runs
-    figure = Figure(figsize=(10.0, 2.4 + 1.4 * len(runs)), layout="constrained")
-    grid = figure.add_gridspec(2, 1, height_ratios=(1.4 * len(runs), 2.4))
+    runs, depends_on = explanation.missing.runs, dict(reversed(explanation.missing.depends_on))
+    heights = (1.4 * len(runs), 2.4) if depends_on else (1.4 * len(runs),)
+    figure = Figure(figsize=(10.0, sum(heights)), layout="constrained")
+    grid = figure.add_gridspec(len(heights), 1, height_ratios=heights)
     above = figure.add_subfigure(grid[0])
-    below = figure.add_subfigure(grid[1])
     axes = above.subplots(len(runs), 3, sharex=True, squeeze=False)
     shown = determined(runs)
     for row, run in zip(axes, runs, strict=True):
@@ -67,8 +67,9 @@ def missing(explanation: Explanation) -> Figure:
         row[1].set_title(titled(run.run, "train"), fontsize="small")
     for axis in axes[-1]:
         axis.set_xlabel("time [s]")
-    bars = below.subplots()
-    depends_on = dict(reversed(explanation.missing.depends_on))
+    if not depends_on:
+        return figure
+    bars = figure.add_subfigure(grid[1]).subplots()
     bars.barh(list(depends_on), [100 * share for share in depends_on.values()], color=TRAIN)
     bars.set(xlabel="squared error above the noise that each variable alone predicts, omitted runs [%]", xlim=(0, 100))
     return figure
