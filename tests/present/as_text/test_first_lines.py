@@ -43,6 +43,7 @@ from snakejax.present.as_text.columns import (
 from snakejax.present.as_text.comparison import compare_report
 from snakejax.present.as_text.errors import error_text, milli_text, pose_error_text, times_noise, times_noise_text
 from snakejax.present.as_text.explanation import diagnosis_text, explanation_text
+from snakejax.present.as_text.first_lines import first_lines
 from snakejax.present.as_text.fit import fit_report
 from snakejax.present.as_text.missing import components_text, determined
 from snakejax.present.as_text.tables import value_text
@@ -173,6 +174,25 @@ def test_terminal_and_page_begin_with_cause_error_validation_and_certainty(verdi
         assert "rotor_gain: The rotor turns further than commanded, or less far. g = 1.000 +- 0.020 mrad" in text
         assert ("small: explained by ground_slope and rotor_gain" in text) is (verdict == "explained")
         assert ("No known effect brings the error down to the noise." in text) is (verdict == "unexplained")
+
+
+@pytest.mark.parametrize(
+    ("misfit", "floor", "heldout", "unseen"),
+    [
+        (1.02, None, True, True),  # only noise is left
+        (1.3, None, True, False),
+        (7.04, PoseError(1e-4, 1e-4, "cameras and a random force"), True, True),
+        (1.02, None, False, False),
+    ],
+)
+def test_it_is_said_where_only_the_held_out_runs_are_unexplained(misfit, floor, heldout, unseen) -> None:
+    *before, last = story().steps
+    last = dataclasses.replace(last, train=last.train._replace(misfit=misfit))
+    last = last if heldout else dataclasses.replace(last, heldout=None)
+    lines = dict(first_lines(dataclasses.replace(story(), steps=(*before, last), floor=floor)))
+    begins = "The train runs are explained, the held-out runs are not" if unseen else "No known effect brings the error"
+    assert lines["cause"].startswith(begins)
+    assert ("the held-out runs show an effect, or conditions" in lines["how sure"]) is unseen
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from snakejax.core.tabular import counted, listed
 from snakejax.diagnosis.explanation import Explanation
 from snakejax.diagnosis.latent_force.missing_force import LatentForce
+from snakejax.estimation.goodness_of_fit import largest_noise_misfit
 
 from .certainty import confidence_sentences, law_sentences
 from .errors import error_text
@@ -13,6 +14,7 @@ from .missing import components_text
 from .tables import NOT_CONVERGED, values_text
 
 UNDECIDED = "No known effect brings the error down to the noise."
+UNSEEN = "The train runs are explained, the held-out runs are not: they differ from what this model predicts."
 
 
 def title(explanation: Explanation) -> str:
@@ -40,7 +42,7 @@ def _causes(explanation: Explanation) -> Iterator[str]:
         yield f"None: the base model explains the recordings{constants}."
         return
     if explanation.verdict == "unexplained":
-        yield UNDECIDED
+        yield UNSEEN if _explains_train_runs(explanation) else UNDECIDED
         if explanation.missing is not None:
             yield _missing(explanation.missing)
         known = tuple(effect for effect in explanation.effects if effect not in explanation.named_laws)
@@ -51,6 +53,15 @@ def _causes(explanation: Explanation) -> Iterator[str]:
         helped = "Lowers the error: " if explanation.verdict == "unexplained" else ""
         values = values_text(final.estimates_of(effect))
         yield f"{helped}{effect}: {final.description_of(effect)} {values}".rstrip() + doubt
+
+
+def _explains_train_runs(explanation: Explanation) -> bool:
+    """Whether an unexplained recording is one of which only the held-out runs are unexplained: noise is all that is
+    left of the train runs, or noise and a random force."""
+    train = explanation.final.train
+    only_noise = train.misfit <= largest_noise_misfit(train.samples)
+    with_force = explanation.floor is not None and not explanation.of_windows
+    return explanation.final.heldout is not None and (only_noise or with_force)
 
 
 def _missing(force: LatentForce) -> str:
@@ -86,7 +97,10 @@ def _certainty(explanation: Explanation) -> Iterator[str]:
         noise = "what the model leaves is like noise of the vehicle itself"
         yield f"No effect is missing: {noise if explanation.floor is not None else 'only noise is left'}."
     elif explanation.verdict == "unexplained":
-        yield "Not sure: the model lacks an effect, so the values are biased."
+        if _explains_train_runs(explanation):
+            yield "Not sure: the held-out runs show an effect, or conditions, that the train runs do not show."
+        else:
+            yield "Not sure: the model lacks an effect, so the values are biased."
     yield from law_sentences(explanation)
     several = len(explanation.confidence) > 1
     for effect in explanation.confidence:
