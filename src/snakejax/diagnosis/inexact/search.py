@@ -231,8 +231,6 @@ class Search(NamedTuple):
             if distance(linear.optimum) < ARRIVED:
                 break
             trial = self.stepped(linear, linear.damped_step(damping), effects)
-            if not is_new and self._promise(trial, linear) < ARRIVED**2:
-                break  # Shorter steps lead astray too, and this one would hardly matter.
             if simulated:
                 trial = self.along_simulation(trial)
             likelier = self._likelier(trial, linear)
@@ -257,20 +255,15 @@ class Search(NamedTuple):
             data = self.data(trial)
         except FitError:
             return None
-        discrepancy = linear.point.discrepancy
-        fall = deviance(linear.data, discrepancy) - deviance(data, discrepancy) - self._prior_rise(trial, linear)
-        return (data, fall / max(self._promise(trial, linear), fall)) if fall > 0.0 else None
-
-    def _promise(self, trial: Point, linear: Linear) -> float:
-        """By how much -2 log likelihood falls at `trial` by the linear problem, with the priors counted."""
-        taken, gram = self.segments.step_between(linear.point.values, trial.values), linear.subsets.gram
-        return quadratic(gram, np.zeros_like(taken)) - quadratic(gram, taken) - self._prior_rise(trial, linear)
-
-    def _prior_rise(self, trial: Point, linear: Linear) -> float:
-        """By how much the priors raise -2 log likelihood at `trial`."""
-        before, free = self.prior_at(linear.point.values), self.model.free(linear.point.effects)
-        taken = self.segments.step_between(linear.point.values, trial.values)
-        return before.chi2(taken, free) - before.chi2(np.zeros_like(taken), free)
+        before, point = self.prior_at(linear.point.values), linear.point
+        taken, free = self.segments.step_between(point.values, trial.values), self.model.free(point.effects)
+        prior = before.chi2(taken, free) - before.chi2(np.zeros_like(taken), free)
+        fall = deviance(linear.data, point.discrepancy) - deviance(data, point.discrepancy) - prior
+        if not fall > 0.0:
+            return None
+        gram = linear.subsets.gram
+        promise = quadratic(gram, np.zeros_like(taken)) - quadratic(gram, taken) - prior
+        return data, fall / max(promise, fall)
 
     def along_simulation(self, point: Point) -> Point:
         """`point` with the states of whole simulated runs.
