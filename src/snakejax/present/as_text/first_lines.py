@@ -42,8 +42,10 @@ def _causes(explanation: Explanation) -> Iterator[str]:
         yield f"None: the base model explains the recordings{constants}."
         return
     if explanation.verdict == "unexplained":
-        yield UNSEEN if _explains_train_runs(explanation) else UNDECIDED
-        if explanation.missing is not None:
+        unseen = _explains_train_runs(explanation)
+        yield UNSEEN if unseen else UNDECIDED
+        # A law that explains the train runs is the force that was missing.
+        if explanation.missing is not None and not (unseen and explanation.named_laws):
             yield _missing(explanation.missing)
         known = tuple(effect for effect in explanation.effects if effect not in explanation.named_laws)
         if known:
