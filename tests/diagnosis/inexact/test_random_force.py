@@ -36,7 +36,9 @@ def test_a_steady_force_is_found_where_and_as_large_as_it_acts() -> None:
     priors = CandidateModel(model, names, values, np.ones(2), OrderedDict(), {}, (0, 1), (0,), ())
     search = Search(segments, priors, SimpleNamespace())  # type: ignore[arg-type]
     strength = Discrepancy(NOISE, 0.01 * NOISE, 0.2, np.array([0.2, 0.05, 0.04]), 2.0)
-    forces = random_force(search, Point(values, segments.guess(), strength, ()))
+    force = random_force(search, Point(values, segments.guess(), strength, ()), switched=False)
+    assert force.is_random
+    forces = force.runs
     assert [one.run for one in forces] == [run.name for run in runs]
     off = []
     for one, run in zip(forces, runs, strict=True):

@@ -1,5 +1,6 @@
 """Explaining recordings for which no model is exact."""
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -85,8 +86,8 @@ def force_without(law: FittedLaw, discrepancy: Discrepancy) -> LatentForce:
     search, values = law.search, law.search.values(law.linear)
     columns = list(search.model.candidates[law.name])
     values[columns] = search.model.neutral[columns]
-    forces = random_force(search, law.linear.point._replace(values=values, discrepancy=discrepancy))
-    return LatentForce(forces, (), None, None, {}, law.candidate_set.switched).with_found([law.proposal.law])
+    point = law.linear.point._replace(values=values, discrepancy=discrepancy)
+    return random_force(search, point, law.candidate_set.switched).with_found([law.proposal.law])
 
 
 def predicts_heldout_runs(assessment: Assessment, criteria: SelectionCriteria) -> bool:
@@ -116,8 +117,8 @@ def explanation_of(
     missing = None
     if not explained and assessment.evidence.has_force:
         point = assessment.linear.point._replace(values=assessment.values)
-        forces = random_force(assessment.search, point)
-        missing = LatentForce(forces, remainder.depends_on, None, None, {}, assessment.candidate_set.switched)
+        force = random_force(assessment.search, point, assessment.candidate_set.switched)
+        missing = dataclasses.replace(force, depends_on=remainder.depends_on)
     return Explanation(
         case,
         noise,

@@ -5,16 +5,16 @@ import numpy as np
 from snakejax.estimation.discrepancy.kalman import moved_states, smoothed
 from snakejax.estimation.discrepancy.segment_dynamics import FORCE
 
-from ..latent_force.missing_force import RunForce
+from ..latent_force.missing_force import LatentForce, RunForce
 from .search import Point, Search
 
 ROUNDS = 2
 """Linearisations of the states at which the force is estimated."""
 
 
-def random_force(search: Search, point: Point) -> tuple[RunForce, ...]:
-    """The force of each run near `point`, with its parameters and its discrepancy; the standard deviations are those
-    with the parameters known.
+def random_force(search: Search, point: Point, switched: bool) -> LatentForce:
+    """The force of each run near `point`, with its parameters and its discrepancy, without variables or laws; the
+    standard deviations are those with the parameters known. `switched`: see `LatentForce`.
 
     A force is constant over a segment, and stands at its middle.
     **Raises:** `FitError` where the simulation is not finite.
@@ -30,4 +30,4 @@ def random_force(search: Search, point: Point) -> tuple[RunForce, ...]:
         times = (cut.times[own, 0] + cut.times[own, -1]) / 2
         error = sd[number, : own.sum(), -FORCE:] * ratio
         forces.append(RunForce(run.name, times, point.z[own, -FORCE:] * ratio, error))
-    return tuple(forces)
+    return LatentForce(tuple(forces), (), None, None, {}, switched)

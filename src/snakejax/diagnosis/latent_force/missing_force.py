@@ -60,6 +60,11 @@ class LatentForce(Tabular):
     laws: tuple[ProposedLaw, ...] = ()
 
     @property
+    def is_random(self) -> bool:
+        """Whether it is the random force of whole runs, and not a free force in windows."""
+        return self.misfit is None
+
+    @property
     def left(self) -> float:
         """The misfit that the best variable, or the best law, leaves."""
         best = self.depends_on[0][1] if self.depends_on else 0.0

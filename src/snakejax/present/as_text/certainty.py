@@ -39,7 +39,7 @@ def law_sentences(explanation: Explanation) -> Iterator[str]:
     if force is None or not force.laws:
         return
     shares = [f"{variable.replace('_', ' ')} {percent(share)}" for variable, share in force.depends_on[:3]]
-    above = "the noise" if force.misfit else "noise and random force"
+    above = "noise and random force" if force.is_random else "the noise"
     if shares:
         yield (
             f"Share of the squared error above {above}, on omitted runs, that a force of one variable alone predicts:"

@@ -102,7 +102,7 @@ def _dependence(explanation: Explanation) -> RenderableType:
         Text(f"Still significant together with it: {effect}: {known(effect)} {values_text(estimates)}")
         for effect, estimates in coexisting_effects(explanation).items()
     ]
-    if missing.misfit is None:
+    if missing.is_random:
         return Text(size)
     if missing.shape is None:
         return Group(*survivors, Text(size), Text("No variable of these runs predicts it."))

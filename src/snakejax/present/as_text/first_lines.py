@@ -67,7 +67,7 @@ def _explains_train_runs(explanation: Explanation) -> bool:
 
 
 def _missing(force: LatentForce) -> str:
-    depends = "It depends on no variable of these runs." if force.misfit else ""
+    depends = "" if force.is_random else "It depends on no variable of these runs."
     if force.shape is not None and force.depends_on:
         variable, share = force.depends_on[0]
         depends = (

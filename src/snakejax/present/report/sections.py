@@ -168,9 +168,9 @@ def law(explanation: Explanation, size: str, charts: Sequence[figures.Chart]) ->
     """The force of which a law was found, its `size` in words, and the law."""
     assert explanation.law is not None
     lacking = (
-        "No known effect brings the error down to the noise. This is the force that the base model lacks"
-        if explanation.law.misfit
-        else "A law was found in the random force. This is the force that the model lacks without the law"
+        "A law was found in the random force. This is the force that the model lacks without the law"
+        if explanation.law.is_random
+        else "No known effect brings the error down to the noise. This is the force that the base model lacks"
     )
     sentences = plain_sentences(
         f"{lacking}, along (X) and across (Y) the board and about its vertical (N), with 95% bands; its root mean"
