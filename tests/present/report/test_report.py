@@ -84,6 +84,22 @@ def test_the_story_of_what_nothing_known_explains(browser, tmp_path) -> None:
     assert page.evaluate(beyond) == []
 
 
+def test_nothing_is_said_of_the_variables_of_a_random_force() -> None:
+    """None were tested for it, unlike for a force in which none was found."""
+    force = story().missing
+    assert force is not None
+    unknown = dataclasses.replace(force, depends_on=())
+    found = result()
+    found["unexplained"] = found["unexplained"] | {"depends_on": []}
+
+    def page(of) -> str:
+        return explanation_page(dataclasses.replace(story(), missing=of), found, models())
+
+    assert "No variable of these runs predicts it." in page(unknown)
+    random = page(dataclasses.replace(unknown, misfit=None, shape=None))
+    assert "No variable of these runs predicts it." not in random and "It is a random force" in random
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("phone", "buttons"), [(True, False), (False, True)])
 def test_the_buttons_of_a_chart_do_not_lie_on_a_phone(browser, tmp_path, phone, buttons) -> None:

@@ -84,7 +84,7 @@ def explanation_page(explanation: Explanation, result: Json, models: Sequence[Mo
     parts: list[Section] = [sections.paths(models), residuals(models)]
     if explanation.missing is not None and result["unexplained"] is not None:
         charts = _force_charts(explanation.missing, explanation, models)
-        parts.append(sections.missing(result, components_text(explanation.missing), charts))
+        parts.append(sections.missing(result, explanation.missing, charts))
     elif explanation.law is not None:
         charts = _force_charts(explanation.law, explanation, models)
         parts.append(sections.law(explanation, components_text(explanation.law), charts))

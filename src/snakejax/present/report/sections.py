@@ -3,11 +3,13 @@
 from collections.abc import Iterator, Sequence
 
 from snakejax.diagnosis.explanation import Explanation
+from snakejax.diagnosis.latent_force.missing_force import LatentForce
 
 from ..as_json.values import Json
 from ..as_text.certainty import law_sentences
 from ..as_text.columns import CHANNELS, ERROR, HEADING, POSITION, of_heldout
 from ..as_text.errors import milli_text
+from ..as_text.missing import components_text
 from ..views import ModelView, doubt
 from . import charts as figures
 from .page import Cell, Row, Section, Table, cells, plain_sentences, root, table
@@ -182,8 +184,8 @@ def law(explanation: Explanation, size: str, charts: Sequence[figures.Chart]) ->
     return Section("law", "The law of the missing force", sentences, tuple(charts), (), wide=False)
 
 
-def missing(result: Json, size: str, charts: Sequence[figures.Chart]) -> Section:
-    """The missing force, its `size` in words, and its dependence."""
+def missing(result: Json, force: LatentForce, charts: Sequence[figures.Chart]) -> Section:
+    """The missing `force`, and what is known of its dependence: nothing was tested of a random one."""
     left = result["unexplained"]
     shares = left["depends_on"] or []
     rows = [
@@ -193,12 +195,10 @@ def missing(result: Json, size: str, charts: Sequence[figures.Chart]) -> Section
     sentences = plain_sentences(
         "No known effect brings the error down to the noise. This is the force that must be added to the model, along"
         " (X) and across (Y) the board and about its vertical (N), with 95% bands.",
-        f"Its root mean square is {size}. A component that is not determined is not shown.",
+        f"Its root mean square is {components_text(force)}. A component that is not determined is not shown.",
+        "It is a random force, estimated with the effects of the final model." if force.is_random else None,
         f"These effects remain significant with it: {', '.join(left['beside'])}." if left["beside"] else None,
-        f"It depends most on {shares[0]['variable']}: this variable alone predicts {100 * shares[0]['share']:.0f}% of"
-        " the squared error above the noise on omitted runs."
-        if shares
-        else "No variable of these runs predicts it.",
+        _dependence(force, shares),
         f"These effects lower the error without explaining it: {', '.join(left['partial'])}."
         if left["partial"]
         else None,
@@ -215,6 +215,17 @@ def missing(result: Json, size: str, charts: Sequence[figures.Chart]) -> Section
     if known:
         tables.append(table("Effects that remain significant with it", PARAMETER_COLUMNS, known))
     return Section("missing", "The missing force", sentences, tuple(charts), tuple(tables), wide=False)
+
+
+def _dependence(force: LatentForce, shares: Sequence[Json]) -> str | None:
+    """On what a missing force depends, or None of a random one without a law."""
+    if not shares:
+        return None if force.is_random else "No variable of these runs predicts it."
+    variable, percent = shares[0]["variable"], f"{100 * shares[0]['share']:.0f}%"
+    return (
+        f"It depends most on {variable}: this variable alone predicts {percent} of the squared error above the noise on"
+        " omitted runs."
+    )
 
 
 def recordings(result: Json) -> Section | None:
