@@ -1,7 +1,7 @@
 """How often the diagnosis is right on synthetic boards: with each effect at five strengths, and without any.
 
     python benchmarks/accuracy.py PART [RESULTS]         PART: null, ranking, loop, strong, pairs, strangers,
-                                                         unusual, mixed, exhaustive, table
+                                                         unusual, natural, mixed, exhaustive, table
 
 Each part writes its results line by line into RESULTS (default benchmarks/accuracy.jsonl), and continues there after
 a stop. `table` prints the summary, which is kept in benchmarks/accuracy.txt.
@@ -15,6 +15,7 @@ pairs       the whole loop on 24 pairs of effects at such sizes, every fourth ti
             runs like those of a motion capture: five train runs and two held-out runs of 12 s each.
 strangers   the same with an effect that is in no library.
 unusual     the same with one of a form that was unknown to those who wrote the search for laws.
+natural     the same with one that may act on a board in a laboratory, unknown to them too.
 mixed       the same with such an effect and a known one together; the report must name the known one with the force.
 exhaustive  twenty of the hundred with all candidates refitted, as the reference.
 
@@ -39,6 +40,7 @@ prepare_jax()
 import boards  # noqa: E402
 import equinox as eqx  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
+import natural_laws  # noqa: E402
 import numpy as np  # noqa: E402
 import unusual_laws  # noqa: E402
 
@@ -339,10 +341,19 @@ def strangers(results: Results) -> None:
 
 
 def unusual(results: Results) -> None:
-    for k, (name, (effect, variable)) in enumerate(unusual_laws.UNUSUAL.items()):
+    _other_strangers(results, "unusual", 9000, unusual_laws.UNUSUAL)
+
+
+def natural(results: Results) -> None:
+    _other_strangers(results, "natural", 9100, natural_laws.NATURAL)
+
+
+def _other_strangers(results: Results, part: str, first: int, effects: dict[str, tuple[Any, str]]) -> None:
+    """One board for each of the `effects`, numbered from `first` on, in turns of each structure."""
+    for k, (name, (effect, variable)) in enumerate(effects.items()):
         constraint = boards.STRUCTURES[k % 2]
-        work = functools.partial(stranger, 9000 + k, constraint, name, effect, variable)
-        results.once("unusual", f"{constraint} {name}", work)
+        work = functools.partial(stranger, first + k, constraint, name, effect, variable)
+        results.once(part, f"{constraint} {name}", work)
 
 
 MIXED = {
@@ -438,6 +449,8 @@ def table(results: Results) -> None:
         _strangers_table("Effects that no library holds", lines)
     if lines := results.of("unusual"):
         _strangers_table("Effects of unusual forms", lines)
+    if lines := results.of("natural"):
+        _strangers_table("Effects that may act in a laboratory", lines)
     if lines := results.of("mixed"):
         _mixed_table(lines)
     if lines := results.of("exhaustive"):
@@ -561,7 +574,8 @@ def _loop_table(lines: list[dict[str, Any]]) -> None:
 
 
 PARTS = {
-    part.__name__: part for part in (null, ranking, loop, strong, pairs, strangers, unusual, mixed, exhaustive, table)
+    part.__name__: part
+    for part in (null, ranking, loop, strong, pairs, strangers, unusual, natural, mixed, exhaustive, table)
 }
 
 if __name__ == "__main__":

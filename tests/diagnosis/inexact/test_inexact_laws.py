@@ -11,7 +11,8 @@ from scipy import stats
 
 from snakejax.diagnosis.inexact import confidence as sureness
 from snakejax.diagnosis.inexact import laws
-from snakejax.diagnosis.inexact.fitted_law import FittedLaw, Proposal
+from snakejax.diagnosis.inexact.candidate_model import CandidateModel
+from snakejax.diagnosis.inexact.fitted_law import FittedLaw, Proposal, _with_wide_priors
 from snakejax.diagnosis.inexact.subsets import Subsets, choose
 from snakejax.diagnosis.law.grammar import Family, Term
 from snakejax.diagnosis.law.search import ProposedLaw
@@ -247,6 +248,52 @@ def test_of_laws_that_cannot_be_distinguished_the_one_with_fewer_parameters_is_k
     choose_law = chooser(monkeypatch, [rich, simple], fitted)
     got = choose_law(3).law
     assert got is not None and got.name == kept
+
+
+@pytest.mark.parametrize(
+    ("kept", "force_after", "expected"),
+    [
+        ([], [], []),
+        (["law_1"], [False], ["law_1"]),  # nothing is left for another law
+        (["law_1"], [True], ["law_1"]),  # the force that is left has none
+        (["law_1", "law_2"], [True, False], ["law_1", "law_2"]),
+        (["law_1", "law_2", "law_3"], [True, True, True], ["law_1", "law_2"]),
+    ],
+)
+def test_another_law_is_looked_for_in_the_random_force_that_the_first_one_leaves(
+    kept, force_after, expected, monkeypatch
+) -> None:
+    """Each search is in the model with the laws before it, and begins where that was fitted."""
+    asked: list[Any] = []
+
+    def choose_law(case: Any, noise: Any, candidate_set: Any, search: Any, linear: Any, base: Any) -> laws.LawChoice:
+        asked.append((candidate_set, search, linear))
+        number = len(asked)
+        if number > len(kept):
+            return laws.LawChoice(undecided=("X = a * x", "X = a * y"))
+        model = (f"candidates {number}", f"search {number}", number - 1)
+        return laws.LawChoice(FittedLaw(kept[number - 1], proposal("", "X", ("x",), 0.0), *model, ERRORS, ERRORS))
+
+    monkeypatch.setattr(laws, "choose_law", choose_law)
+    monkeypatch.setattr(laws, "model_evidence", lambda search, linear: SimpleNamespace(has_force=force_after[linear]))
+    none: Any = None
+    choices = laws.choose_laws(none, none, none, none, none, ())
+    assert [law.name for law in choices.laws] == expected
+    assert asked[1:] == [(f"candidates {k}", f"search {k}", k - 1) for k in range(1, len(asked))]
+    assert bool(choices.undecided) == (len(asked) > len(kept))
+
+
+def test_a_second_law_keeps_the_prior_of_the_first() -> None:
+    def model(names: tuple[str, ...], sd: list[float], first: int) -> CandidateModel:
+        count = len(names)
+        candidates = OrderedDict({f"law_{k + 1}": (first + k,) for k in range(count - first)})
+        return CandidateModel(none, names, np.zeros(count), np.array(sd), candidates, {}, (), (), ())
+
+    none: Any = None
+    names = ("tyre.D", "effects.law_1.a", "effects.law_2.a")
+    known, new = model(names[:2], [1.0, 0.06], 1), model(names, [1.0, 7.0, 7.0], 1)
+    law = proposal("second", "X", ("x",), 0.0).law._replace(values={"a": 0.5})
+    assert list(_with_wide_priors(new, known, "law_2", law).sd) == [1.0, 0.06, 1.5]
 
 
 @pytest.mark.parametrize(

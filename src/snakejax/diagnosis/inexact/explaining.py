@@ -23,7 +23,7 @@ from .assessment import Assessment, assess
 from .candidate_model import candidate_model, movable_parameters
 from .evidence import ModelEvidence
 from .fitted_law import FittedLaw
-from .laws import LawChoice, choose_law
+from .laws import LawChoices, choose_laws
 from .left_out import with_predicting_effects
 from .random_force import random_force
 from .revision import search_effects
@@ -64,30 +64,37 @@ def assess_effects(
     linear: Linear,
     evidence: ModelEvidence,
 ) -> Assessment:
-    """What is reported about the effects at `linear`; where there is `evidence` of a random force there, with a law
+    """What is reported about the effects at `linear`; where there is `evidence` of a random force there, with laws
     among them.
 
     **Raises:** `FitError` where a simulation is not finite.
     """
-    choice = LawChoice()
+    choices = LawChoices()
     if evidence.has_force:
-        choice = choose_law(case, noise, candidate_set, search, linear, base)
+        choices = choose_laws(case, noise, candidate_set, search, linear, base)
     heldout = case.having("heldout")
-    if choice.law is None:
-        return assess(candidate_set, search, linear, tuple(base), heldout, {}, choice.undecided)
-    law = choice.law
-    assessment = assess(law.candidate_set, law.search, law.linear, tuple(base), heldout, {law.name: law.rivals})
-    return assessment._replace(law_force=force_without(law, linear.point.discrepancy))
+    if not choices.laws:
+        return assess(candidate_set, search, linear, tuple(base), heldout, {}, choices.undecided)
+    last, rivals = choices.laws[-1], {law.name: law.rivals for law in choices.laws}
+    kept = {name: others for name, others in rivals.items() if name in last.linear.point.effects}
+    assessment = assess(last.candidate_set, last.search, last.linear, tuple(base), heldout, kept, choices.undecided)
+    laws = [law for law in choices.laws if law.name in kept]
+    return assessment._replace(law_force=force_without(laws, linear.point.discrepancy))
 
 
-def force_without(law: FittedLaw, discrepancy: Discrepancy) -> LatentForce:
-    """What is missing beside everything else of the model with a `law`: the random force as strong as `discrepancy`
-    says, which was estimated without the law."""
-    search, values = law.search, law.search.values(law.linear)
-    columns = list(search.model.candidates[law.name])
-    values[columns] = search.model.neutral[columns]
-    point = law.linear.point._replace(values=values, discrepancy=discrepancy)
-    return random_force(search, point, law.candidate_set.switched).with_found([law.proposal.law])
+def force_without(laws: Sequence[FittedLaw], discrepancy: Discrepancy) -> LatentForce:
+    """What is missing beside everything else of the model with `laws`: the random force as strong as `discrepancy`
+    says, which was estimated without them. The share of a law is that of what those before it leave."""
+    last = laws[-1]
+    search, values = last.search, last.search.values(last.linear)
+    found, left = [], 1.0
+    for law in laws:
+        columns = list(search.model.candidates[law.name])
+        values[columns] = search.model.neutral[columns]
+        found.append(law.proposal.law._replace(share=left * law.proposal.law.share))
+        left *= 1 - law.proposal.law.share
+    point = last.linear.point._replace(values=values, discrepancy=discrepancy)
+    return random_force(search, point, last.candidate_set.switched).with_found(found)
 
 
 def predicts_heldout_runs(assessment: Assessment, criteria: SelectionCriteria) -> bool:

@@ -157,14 +157,15 @@ def search_with(
     model = own.problem.model
     segments = Segments(model, search.segments.runs, movable_parameters(model, own.tyre, own.candidates, base))
     priors = candidate_model(model, own.tyre, own.candidates, base, search.scales, case.constant_sd)
-    priors = _with_wide_priors(priors, name, law)
-    return own, search._replace(segments=segments, model=priors, trials={name: law.forms})
+    priors = _with_wide_priors(priors, search.model, name, law)
+    return own, search._replace(segments=segments, model=priors, trials={**search.trials, name: law.forms})
 
 
-def _with_wide_priors(model: CandidateModel, name: str, law: ProposedLaw) -> CandidateModel:
-    """`model` with weak priors of the numbers of a law: each is of the size that the segments say, those of a smooth
-    function of the size of the largest."""
-    sd = model.sd.copy()
+def _with_wide_priors(model: CandidateModel, known: CandidateModel, name: str, law: ProposedLaw) -> CandidateModel:
+    """`model` with the priors of the parameters that are `known`, and weak ones of the numbers of a law: each is of the
+    size that the segments say, those of a smooth function of the size of the largest."""
+    sd_of = dict(zip(known.names, known.sd, strict=True))
+    sd = np.array([sd_of.get(parameter, own) for parameter, own in zip(model.names, model.sd, strict=True)])
     least = max(abs(value) for value in law.values.values()) if law.family.together else 1e-3
     for k in model.candidates[name]:
         value = law.values[model.names[k].rsplit(".", 1)[-1]]

@@ -17,6 +17,7 @@ from snakejax.recording.run import Case, Noise
 from ..law.search import search as search_laws
 from ..selection.candidates import CandidateSet
 from .confidence import beside_unknown
+from .evidence import model_evidence
 from .fitted_law import FittedLaw, Proposal, fit_law, without_idle_terms
 from .left_out import Gain, left_out
 from .search import Linear, Search
@@ -28,6 +29,8 @@ WEAKER = 1 / 3
 rest."""
 TRIED = 5
 """So many laws are fitted with everything else, at most."""
+MOST_LAWS = 2
+"""So many laws stand beside each other, at most."""
 
 
 class LawChoice(NamedTuple):
@@ -36,6 +39,29 @@ class LawChoice(NamedTuple):
 
     law: FittedLaw | None = None
     undecided: tuple[str, ...] = ()
+
+
+class LawChoices(NamedTuple):
+    """The `laws` that are kept, each fitted together with those before it, and the formulas `undecided` among which
+    these runs cannot choose another."""
+
+    laws: tuple[FittedLaw, ...] = ()
+    undecided: tuple[str, ...] = ()
+
+
+def choose_laws(
+    case: Case, noise: Noise, candidate_set: CandidateSet, search: Search, linear: Linear, base: Sequence[str]
+) -> LawChoices:
+    """The laws that `choose_law` keeps one after the other, `MOST_LAWS` at most, as long as a random force is left."""
+    laws: list[FittedLaw] = []
+    while True:
+        choice = choose_law(case, noise, candidate_set, search, linear, base)
+        if choice.law is None:
+            return LawChoices(tuple(laws), choice.undecided)
+        laws.append(choice.law)
+        candidate_set, search, linear = choice.law.candidate_set, choice.law.search, choice.law.linear
+        if len(laws) == MOST_LAWS or not model_evidence(search, linear).has_force:
+            return LawChoices(tuple(laws))
 
 
 def choose_law(
