@@ -2,7 +2,7 @@
 more effects than a search on whole runs adds."""
 
 import dataclasses
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from snakejax.core.errors import FitError
@@ -81,18 +81,23 @@ def explain_inexact(
         assessment = assess_effects(case, noise, *at_once)
     except FitError:
         return None
+    if not law_is_sought and assessment.evidence.exact and assessment.law_force is not None:
+        by_law = by_exact_law(case, noise, diagnosis, progress)
+        if by_law is not None:
+            return by_law
     explanation = _by_effects(case, noise, diagnosis, assessment)
-    if law_is_sought or not _law_may_explain(assessment, explanation, at_once.candidate_set.candidates):
+    if law_is_sought or explanation is None or not _law_may_explain(assessment, explanation):
         return explanation
     return by_exact_law(case, noise, diagnosis, progress) or explanation
 
 
 def _by_effects(case: Case, noise: Noise, diagnosis: BaseDiagnosis, assessment: Assessment) -> Explanation | None:
-    """The explanation by the effects of `assessment`; None, see `explain_inexact`, and where a law of the random force
-    makes the model exact, which then needs no such force."""
+    """The explanation by the effects of `assessment`; None, see `explain_inexact`, and where the model is exact with a
+    few known effects."""
     candidate_set, exact = assessment.candidate_set, assessment.evidence.exact
     criteria = candidate_set.criteria
-    if exact and len(assessment.effects) <= criteria.most_effects_at_once:
+    few = len(assessment.effects) <= criteria.most_effects_at_once
+    if exact and few and assessment.law_force is None:
         return None
     if assessment.random_force_share > criteria.largest_random_force:
         return None
@@ -114,13 +119,10 @@ def _by_effects(case: Case, noise: Noise, diagnosis: BaseDiagnosis, assessment: 
     return dataclasses.replace(explanation, bands=bands_of(steps[-1].fitted))
 
 
-def _law_may_explain(assessment: Assessment, explanation: Explanation | None, known: Collection[str]) -> bool:
-    """Whether a law may leave only noise where the `known` effects do not: the model is exact with one beside them, or,
-    without a random force and with white noise, the effects leave more."""
-    evidence = assessment.evidence
-    if explanation is None:
-        return evidence.exact and not set(assessment.effects) <= set(known)
-    train = explanation.final.train
+def _law_may_explain(assessment: Assessment, explanation: Explanation) -> bool:
+    """Whether a law may leave only noise where the effects do not: without a random force and with white noise, they
+    leave more."""
+    evidence, train = assessment.evidence, explanation.final.train
     inexact = evidence.has_force or evidence.noise_wanders
     return not (evidence.exact or inexact) and train.misfit > largest_noise_misfit(train.samples)
 

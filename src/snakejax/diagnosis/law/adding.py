@@ -12,7 +12,7 @@ from ..latent_force.missing_force import LatentForce
 from ..selection.working_step import WorkingStep
 from .exact_laws import TRIED, explains_train_runs, is_needless, likeliest, smooth_trials
 from .fitting import AddedLaws, expected_misfits, fitted_laws, left_out_misfits, predicts_better
-from .search import ProposedLaw, search, smooth_laws
+from .search import ProposedLaw, much_better, search, smooth_laws
 
 RIVAL = 2.0
 """A law whose excess in the windows is above this multiple of the best one's is not fitted to whole runs."""
@@ -68,7 +68,8 @@ def best_laws(
         return [likeliest(exact)]
     smooth: list[AddedLaws] = []
     if missing.windows is not None:
-        smooth = smooth_trials(missing.windows, smooth_laws(missing.windows), lambda law: added((law,)))
+        proposed = much_better(smooth_laws(missing.windows), missing.laws)
+        smooth = smooth_trials(missing.windows, proposed, lambda law: added((law,)))
     if smooth and smooth[-1].leaves_only_noise:
         return [smooth[-1]]
     trials += smooth

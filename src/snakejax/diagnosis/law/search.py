@@ -23,6 +23,9 @@ KEPT = 6
 """The largest number of proposed laws."""
 SMOOTH = 3
 """The largest number of smooth functions among them, each of other variables or another action."""
+SMOOTH_SHARE = 0.5
+"""A smooth function explains nothing and has many parameters. It is proposed where it leaves less than this share of
+what the best formula leaves above the noise."""
 WIDER = (2.0, 4.0)
 """Multiples of the width of a form from which a fit to whole runs begins anew."""
 GENERAL = {
@@ -66,7 +69,7 @@ def search(windows: ForceWindows, beside: Sequence[tuple[Family, np.ndarray]] = 
 
     Of laws that do not differ by `FEWEST_CHI2` from the best, the one with the fewest parameters is first. Where no
     formula leaves only noise there, or in windows `beside` a random force, which hides what a formula leaves, smooth
-    functions are tried too, and are among the laws where they predict better.
+    functions are tried too, and are among the laws where they predict better; without such a force much better.
     `beside`: forms, with the values of their shape, that are in the regression whatever else is.
     """
     given = [windows.histories(family, named(family, shape[None])) for family, shape in beside]
@@ -77,7 +80,7 @@ def search(windows: ForceWindows, beside: Sequence[tuple[Family, np.ndarray]] = 
     if laws and (windows.beside or min(law.left_out for law in laws) > noise):
         most = min(law.score - FEWEST_CHI2 * max(1.0, law.left_out) for law in laws)
         smooth = [law for law in _smooth_laws(windows, given, nothing, len(forms)) if law.score < most]
-        laws = sorted([*laws, *smooth], key=lambda law: law.score)
+        laws = sorted([*laws, *(smooth if windows.beside else much_better(smooth, laws))], key=lambda law: law.score)
     return tuple(_simplest_first(laws)[:KEPT])
 
 
@@ -86,6 +89,12 @@ def smooth_laws(windows: ForceWindows) -> tuple[ProposedLaw, ...]:
     nothing = form_at(windows, NO_LAW, np.zeros((1, 0)), ())[0].left_out
     forms = sum(1 for _ in families(windows.ranges(), windows.wheel))
     return tuple(_smooth_laws(windows, (), nothing, forms))
+
+
+def much_better(smooth: Sequence[ProposedLaw], laws: Sequence[ProposedLaw]) -> list[ProposedLaw]:
+    """Those of the `smooth` functions that leave less than `SMOOTH_SHARE` of the excess of every formula of `laws`."""
+    least = min((law.left_out - 1 for law in laws if not law.family.together), default=np.inf)
+    return [law for law in smooth if law.left_out - 1 < SMOOTH_SHARE * least]
 
 
 def finer(windows: ForceWindows, law: ProposedLaw) -> tuple[ProposedLaw, ...]:
