@@ -63,6 +63,21 @@ def law_of(*components: tuple[str, str]) -> Family:
     return Family("made", "", (), (Term("a", {}, components),))
 
 
+def _dragged(a: str, p: str, q: str) -> tuple[tuple[str, str], ...]:
+    """Dry friction of the point (p, q) of the body."""
+    along, across = f"(u - {q} * r)", f"(w + {p} * r)"
+    size = f"sqrt({along} ** 2 + {across} ** 2 + 2.5e-05)"
+    turn = f"({p} * {across} - {q} * {along})"
+    return tuple((side, f"{a} * {v} / {size}") for side, v in (("X", along), ("Y", across), ("N", turn)))
+
+
+def _across(a: str, q: str, s: str) -> tuple[tuple[str, str], ...]:
+    """Dry friction against motion along the direction q in the world."""
+    cosine, sine = f"cos({q} - heading)", f"sin({q} - heading)"
+    against = f"{a} * tanh((u * {cosine} + w * {sine}) / {s})"
+    return (("X", f"{against} * {cosine}"), ("Y", f"{against} * {sine}"))
+
+
 _SPEED = "sqrt(u ** 2 + w ** 2 + 2.5e-05)"
 _DISTANCE = "sqrt((x - 0.2) ** 2 + (y + 0.3) ** 2)"
 CASES = {
@@ -120,6 +135,24 @@ CASES = {
             "X = -a * tanh(u / s) - b * tanh(u / s) * exp(-(speed / v0) ** 2); "
             "Y = -a * tanh(w / s) - b * tanh(w / s) * exp(-(speed / v0) ** 2)",
             {"a": (0.15, "N"), "b": (0.2, "N"), "s": (0.05, "m/s"), "v0": (0.3, "m/s")},
+        ),
+    ),
+    "air on a rotor that turns in the world": (
+        law_of(("N", "-0.01 * (rotor_rate + r) * abs(rotor_rate + r)")),
+        ("N = a * (rotor_rate + r) * abs((rotor_rate + r))", {"a": (-0.01, "N m s^2/rad^2")}),
+    ),
+    "plug dragged along": (
+        law_of(*_dragged("-0.2", "-0.4", "0.1")),
+        (
+            "; ".join(f"{side} = {text}" for side, text in _dragged("-a", "p", "q")),
+            {"a": (0.2, "N"), "p": (-0.4, "m"), "q": (0.1, "m")},
+        ),
+    ),
+    "floor boards": (
+        law_of(*_across("-0.3", "0.5", "0.03")),
+        (
+            "; ".join(f"{side} = {text}" for side, text in _across("-a", "q", "s")),
+            {"a": (0.3, "N"), "q": (0.5, "rad"), "s": (0.03, "m/s")},
         ),
     ),
     "friction that grows": (

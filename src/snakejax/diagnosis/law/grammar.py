@@ -21,7 +21,7 @@ import numpy as np
 
 from snakejax.dynamics.contact import STICKING_SPEED
 
-from .units import Unit, power, product, unit_of
+from .units import Unit, is_sum, power, product, unit_of
 
 NEWTON: Unit = {"N": 1}
 NEWTON_METRE: Unit = {"N": 1, "m": 1}
@@ -190,6 +190,7 @@ def families(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]
     """All forms of law of the variables in `ranges`; those named in `wheel` belong to a wheel, so only its grip."""
     pushes = [name for name in ranges if name.endswith(PUSH_SUFFIX)]
     ranges = {name: interval for name, interval in ranges.items() if name not in pushes}
+    single = [name for name in ranges if not is_sum(name)]
     yield from _pushes(pushes, ranges)
     for variable, interval in ranges.items():
         for function in _functions(variable, interval):
@@ -201,7 +202,7 @@ def families(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]
                 yield _of_one_variable(action, function, variable)
             if variable in WORLD_VARIABLES:
                 yield _world(function, variable)
-    for one, other in combinations(ranges, 2):
+    for one, other in combinations(single, 2):
         if one in wheel or other in wheel:
             continue
         for action in ACTIONS[:3]:
@@ -214,6 +215,33 @@ def families(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]
         yield from _in_the_plane(ranges)
     if {"u", "speed"} <= set(ranges):
         yield from _stribeck(ranges["speed"].largest)
+        yield _friction_across("theta" if "theta" in ranges else "heading", ranges["speed"].largest)
+        if "r" in ranges:
+            yield from _at_a_point(ranges["speed"].largest / ranges["r"].largest)
+
+
+def _at_a_point(size: float) -> Iterator[Family]:
+    """Dry friction or drag of a point that is p ahead of the centre and q to its left: what the body drags along.
+    `size` [m]: where a turn moves a point as fast as the body moves."""
+    metre: Unit = {"m": 1}
+    starts = (tuple(size * part for part in parts) for parts in ((-2, -1, -0.4, 0.4, 1, 2), (-1, -0.3, 0, 0.3, 1)))
+    shape = tuple(ShapeParameter(k, metre, v, -10 * size, 10 * size) for k, v in zip("pq", starts, strict=True))
+    along, across = "(u - q * r)", "(w + p * r)"
+    turn = f"(p * {across} - q * {along})"
+    length = f" / sqrt({along} ** 2 + {across} ** 2 + {STICKING_SPEED**2})"
+    for name, over, unit in (("friction", length, NEWTON), ("drag", "", DAMPING)):
+        formulas = tuple((side, f"-{v}{over}") for side, v in (("X", along), ("Y", across), ("N", turn)))
+        yield Family(f"{name} at a point", name, ("u", "w", "r"), (Term("a", unit, formulas),), shape)
+
+
+def _friction_across(angle: str, fastest: float) -> Family:
+    """Dry friction against motion along the direction q in the world alone, as across the joints of floor boards."""
+    s = ShapeParameter("s", {"m": 1, "s": -1}, (0.05 * fastest, 0.3 * fastest), 0.005 * fastest, 5 * fastest)
+    q = ShapeParameter("q", {"rad": 1}, tuple(np.pi * np.arange(8) / 8))
+    cosine, sine = f"cos(q - {angle})", f"sin(q - {angle})"
+    against = f"-tanh((u * {cosine} + w * {sine}) / s)"
+    formulas = (("X", f"{against} * {cosine}"), ("Y", f"{against} * {sine}"))
+    return Family("friction across", "friction", (angle,), (Term("a", NEWTON, formulas),), (q, s))
 
 
 def _stribeck(fastest: float) -> Iterator[Family]:

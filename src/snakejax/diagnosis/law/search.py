@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
+from snakejax.core.formula import names_in, parsed
 from snakejax.dynamics.law import LawParameter
 from snakejax.estimation.goodness_of_fit import largest_noise_misfit
 
@@ -58,7 +59,8 @@ class ProposedLaw(NamedTuple):
     @property
     def variables(self) -> tuple[str, ...]:
         """The variables on which it depends, as results name them; none for those that have no such name."""
-        return tuple(dict.fromkeys(GENERAL.get(name, name) for name in self.family.variables if name not in UNNAMED))
+        names = [name for variable in self.family.variables for name in names_in(parsed(variable))]
+        return tuple(dict.fromkeys(GENERAL.get(name, name) for name in names if name not in UNNAMED))
 
 
 NO_LAW = Family("nothing", "", (), ())

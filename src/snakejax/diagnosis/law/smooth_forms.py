@@ -29,6 +29,7 @@ from .grammar import (
     acting,
     wave_number,
 )
+from .units import is_sum
 
 KNOTS = (4, 6, 9, 14)
 """Numbers of knots of a spline."""
@@ -62,7 +63,8 @@ def smooth_of_two(
     ranges: dict[str, Range], wheel: Sequence[str], action: str, variables: Sequence[str]
 ) -> Iterator[Family]:
     """The smooth functions of two variables of `ranges`, of which one is in `variables`, for one `action`."""
-    usual = [v for v in ranges if v not in ANGLES and v not in wheel and not v.endswith(PUSH_SUFFIX)]
+    single = [v for v in ranges if not (is_sum(v) or v.endswith(PUSH_SUFFIX))]
+    usual = [v for v in single if v not in ANGLES and v not in wheel]
     for one, other in combinations(usual, 2):
         if {one, other} & set(variables):
             acts = [a for a in _actions(one, wheel) if a.name == action and a in _actions(other, wheel)]

@@ -18,8 +18,16 @@ VARIABLE_UNITS: dict[str, Unit] = {
 """The units of the variables of a motion; those of joints follow from their names, see `unit_of`."""
 
 
+def is_sum(variable: str) -> bool:
+    """Whether a variable is a sum of others, `(rotor_rate + r)`."""
+    return variable.startswith("(")
+
+
 def unit_of(variable: str) -> Unit:
-    """The unit of a variable by its name: an angle, a rate, or one of `VARIABLE_UNITS`; else a pure number."""
+    """The unit of a variable by its name: an angle, a rate, or one of `VARIABLE_UNITS`; else a pure number; of a sum
+    that of its parts."""
+    if is_sum(variable):
+        return unit_of(variable.strip("()").split(" + ")[0])
     if variable in VARIABLE_UNITS:
         return VARIABLE_UNITS[variable]
     if variable.endswith("_angle"):

@@ -89,8 +89,11 @@ class ForceWindows(NamedTuple):
         return ForceWindows(variables, wheel, *whole, prior_mean, precision, track.theta[:, pick], count)
 
     def ranges(self) -> dict[str, Range]:
-        """What was seen of each variable that varies."""
-        ends = {name: Range(*np.percentile(values, [2, 98])) for name, values in self.variables.items()}
+        """What was seen of each variable that varies, and of the rate at which each joint turns in the world."""
+        r = self.variables["r"]
+        turns = {f"({name} + r)": rate + r for name, rate in self.variables.items() if name.endswith("_rate")}
+        seen_of = self.variables | turns
+        ends = {name: Range(*np.percentile(values, [2, 98])) for name, values in seen_of.items()}
         return {name: interval for name, interval in ends.items() if interval.high - interval.low > 1e-6}
 
     def histories(self, family: Family, shape: Mapping[str, np.ndarray]) -> np.ndarray:
