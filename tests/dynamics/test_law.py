@@ -54,6 +54,28 @@ def test_a_law_of_a_force_acts_as_the_effect_written_by_hand() -> None:
     assert not np.allclose(driven(formula), driven(Spring(0.4)), rtol=0, atol=1e-4)
 
 
+class OfPlace(LateralForce):
+    """A grip by where a wheel stands, how fast it turns on the floor, and on which axle it is."""
+
+    g: Scalar = param("-", default=0.0)
+
+    def lateral(self, force, wheel, motion):
+        arm = motion.board.half_length * wheel.wheelset.place
+        x, y = motion.x + arm * jnp.cos(motion.theta), motion.y + arm * jnp.sin(motion.theta)
+        turning = motion.r + wheel.wheelset.steering * motion.steering.rate
+        return force * (1 - self.g * (x - 2 * y + 0.1 * turning**2 + wheel.wheelset.place * motion.rotor.angle))
+
+
+@pytest.mark.slow
+def test_a_law_of_a_wheel_acts_as_the_effect_written_by_hand() -> None:
+    text = "grip = 1 - g * (wheel_x - 2 * wheel_y + 0.1 * turn_rate ** 2 + axle * rotor_angle)"
+    by_hand = driven(OfPlace(0.2))
+    assert np.allclose(driven(law(text, {"g": "-"}, {"g": 0.2})), by_hand, rtol=0, atol=1e-9)
+    for name in ("wheel_x", "wheel_y", "turn_rate", "axle"):
+        other = law(text.replace(name, f"1.05 * {name}"), {"g": "-"}, {"g": 0.2})
+        assert not np.allclose(driven(other), by_hand, rtol=0, atol=1e-5), name
+
+
 @pytest.mark.slow
 def test_a_law_of_the_grip_acts_as_the_effect_written_by_hand() -> None:
     text = "grip = 1 - g * tanh((rotor_rate / 4) ** 2) + 0.2 * slip_speed"

@@ -10,6 +10,7 @@ from .contact import slip_angle as slip_angle
 from .inputs import AbstractInputs as AbstractInputs
 from .inputs import Gait as Gait
 from .inputs import Inputs as Inputs
+from .law import wheel_variables as wheel_variables
 from .model import Model as Model
 from .observation import CHANNELS as CHANNELS
 from .observation import UNITS as UNITS

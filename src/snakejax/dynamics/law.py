@@ -13,9 +13,10 @@ from snakejax.core.errors import InputError
 from snakejax.core.formula import SMOOTH_FUNCTIONS, evaluated, names_in, parsed
 from snakejax.core.parameter import Scalar, own_parameters, param
 
-from .contact import Motion, Wheel, Wrench, slip_angle
+from .contact import Motion, Wheel, Wrench, sine_cosine, slip_angle
 from .ports import Effect, Force, LateralForce
 from .signals import Joint
+from .vehicle import AbstractVehicle, Wheelset
 
 if TYPE_CHECKING:
     from .model import Model
@@ -27,8 +28,8 @@ the factor on the lateral force of each wheel [-]."""
 
 VARIABLES = ("time", "x", "y", "heading", "theta", "u", "w", "r", "speed")
 """The variables of any vehicle, see `Motion`; `speed` is that of the body. Those of its joints come beside."""
-WHEEL_VARIABLES = ("slip_speed", "slip_angle", "rolling_speed")
-"""The variables of one wheel, on which its grip may depend."""
+WHEEL_VARIABLES = ("slip_speed", "slip_angle", "rolling_speed", "wheel_x", "wheel_y", "turn_rate", "axle")
+"""The variables of one wheel, on which its grip may depend, see `wheel_variables`."""
 
 
 class LawParameter(NamedTuple):
@@ -77,7 +78,8 @@ class GripLaw(Law, LateralForce):
     """A factor on the lateral force of each wheel."""
 
     def lateral(self, force: Scalar, wheel: Wheel, motion: Motion) -> Scalar:
-        known = variables_of(motion) | variables_of_wheel(wheel, motion) | self.values()
+        of_wheel = wheel_variables(motion.board, wheel.wheelset, wheel, motion)
+        known = variables_of(motion) | of_wheel | self.values()
         return force * evaluated(self.formulas["grip"], known, jnp)
 
 
@@ -89,10 +91,25 @@ def variables_of(motion: Motion) -> dict[str, Scalar]:
     return own | motion.board.variables(motion.inputs) | motion.board.accelerations(motion.inputs)
 
 
-def variables_of_wheel(wheel: Wheel, motion: Motion) -> dict[str, Scalar]:
-    """What the grip of a wheel may depend on beside: its lateral slip speed [m/s], slip angle [rad], rolling speed."""
-    angle = slip_angle(wheel.lateral, wheel.rolling, motion.board.creep_speed)
-    return dict(zip(WHEEL_VARIABLES, (wheel.lateral, angle, wheel.rolling), strict=True))
+def wheel_variables(board: AbstractVehicle, wheelset: Wheelset, wheel: Wheel, motion: Motion) -> dict[str, Scalar]:
+    """What the grip of a `wheel` of `board` may depend on beside.
+
+    Its lateral slip speed [m/s], slip angle [rad] and rolling speed [m/s]; where it stands on the floor, `wheel_x` and
+    `wheel_y` [m]; the rate [rad/s] at which it turns on the floor, r plus that of its steering; and `axle`, 1 ahead of
+    the middle, -1 behind it.
+    """
+    at = board.placement(wheelset, {name: joint.angle for name, joint in motion.inputs.items()})
+    sine, cosine = sine_cosine(motion.theta)
+    values = (
+        wheel.lateral,
+        slip_angle(wheel.lateral, wheel.rolling, board.creep_speed),
+        wheel.rolling,
+        motion.x + at.x * cosine - at.y * sine,
+        motion.y + at.x * sine + at.y * cosine,
+        motion.r + wheel.joint.rate,
+        jnp.zeros_like(motion.r) + np.sign(wheelset.place),
+    )
+    return dict(zip(WHEEL_VARIABLES, values, strict=True))
 
 
 def formulas_of(expression: str) -> dict[str, ast.expr]:

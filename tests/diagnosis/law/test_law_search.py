@@ -38,6 +38,13 @@ def moving(rng: np.random.Generator) -> dict[str, np.ndarray]:
     return dict(zip(names, values, strict=True)) | joints | {"speed": np.hypot(u, v)}
 
 
+def _of_wheels(own: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Variables (2, W, n) of a wheel ahead of the middle and of one behind it, 1 m apart, steered against it."""
+    axle = np.stack([np.full_like(own["x"], place) for place in (1.0, -1.0)])
+    place = {f"wheel_{v}": own[v] + 0.5 * axle * of(own["theta"]) for v, of in (("x", np.cos), ("y", np.sin))}
+    return place | {"turn_rate": own["r"] + axle * own["steering_rate"], "axle": axle}
+
+
 def windows_of(made: Family, seed: int = 1, noise: float = 1.0) -> ForceWindows:
     """Windows in which the law `made`, its amplitudes and shape written into its formulas, acts."""
     rng = np.random.default_rng(seed)
@@ -49,7 +56,9 @@ def windows_of(made: Family, seed: int = 1, noise: float = 1.0) -> ForceWindows:
     owner, size = np.repeat(np.arange(RUNS), OF_RUN), np.zeros(PARAMETERS)
     square = np.zeros(RUNS)
     normal_equations = (zeros, zeros[:, 0], square, owner, size, size)
-    bare = ForceWindows(variables, (), onto_knots, *normal_equations, own["theta"], W * 150)
+    wheel = ("wheel_x", "wheel_y", "turn_rate", "axle")
+    variables |= _of_wheels(own)
+    bare = ForceWindows(variables, wheel, onto_knots, *normal_equations, own["theta"], W * 150)
     history = bare.histories(made, {})[0].sum(axis=0)
     H = rng.normal(size=(W, 150, PARAMETERS + 5 * KNOTS))
     data = np.einsum("wij,wj->wi", H[:, :, PARAMETERS:], history) * 30 + noise * rng.normal(size=(W, 150))
@@ -137,6 +146,21 @@ CASES = {
             {"a": (0.15, "N"), "b": (0.2, "N"), "s": (0.05, "m/s"), "v0": (0.3, "m/s")},
         ),
     ),
+    "load that an eccentric rotor moves": (
+        law_of(("grip", "-0.2 * axle * sin(1 * rotor_angle)")),
+        ("grip = 1 - a * axle * sin(k * rotor_angle)", {"a": (0.2, "-"), "k": (1.0, "1/rad")}),
+    ),
+    "puddle under a wheel": (
+        law_of(("grip", "-0.5 * exp(-((wheel_x - 0.3) ** 2 + (wheel_y - 0.1) ** 2) / 0.4 ** 2)")),
+        (
+            "grip = 1 - a * exp(-((wheel_x - x0) ** 2 + (wheel_y - y0) ** 2) / s ** 2)",
+            {"a": (0.5, "-"), "x0": (0.3, "m"), "y0": (0.1, "m"), "s": (0.4, "m")},
+        ),
+    ),
+    "wheels that turn on the floor": (
+        law_of(("grip", "-0.3 * tanh((turn_rate / 2) ** 2)")),
+        ("grip = 1 - a * tanh((turn_rate / s) ** 2)", {"a": (0.3, "-"), "s": (2.0, "rad/s")}),
+    ),
     "air on a rotor that turns in the world": (
         law_of(("N", "-0.01 * (rotor_rate + r) * abs(rotor_rate + r)")),
         ("N = a * (rotor_rate + r) * abs((rotor_rate + r))", {"a": (-0.01, "N m s^2/rad^2")}),
@@ -196,18 +220,21 @@ def test_noise_has_no_law() -> None:
     assert search(windows_of(law_of(("X", "0 * x")))) == ()
 
 
-NAMES = ("x", "y", "heading", "u", "w", "r", "rotor_angle", "rotor_rate", "rotor_acceleration", "slip_speed")
+NAMES = (
+    *("x", "y", "heading", "u", "w", "r", "rotor_angle", "rotor_rate", "rotor_acceleration"),
+    *("slip_speed", "wheel_x", "wheel_y", "turn_rate"),
+)
 
 
 def test_each_form_of_the_grammar_is_an_expression_whose_value_is_that_of_its_terms() -> None:
     rng = np.random.default_rng(3)
     seen = {name: Range(-1.0, 1.2) for name in NAMES} | {"speed": Range(0.0, 1.2)}
-    wheel = ("slip_speed",)
+    wheel = ("slip_speed", "wheel_x", "wheel_y", "turn_rate", "axle")
     smooth = [*smooth_of_one(seen, wheel), *smooth_of_two(seen, wheel, "X", ("u",))]
     assert {family.name for family in smooth} == {"smooth function", "smooth function of two", "series"}
     for family in (*families(seen, wheel), *smooth):
         known = {name: rng.uniform(0.2, 1.0) for name in seen} | {"theta": 0.1}
-        known |= {part.name: part.starts[0] for part in family.shape}
+        known |= {part.name: part.starts[0] for part in family.shape} | {"axle": -1.0}
         known |= {term.amplitude: rng.uniform(0.5, 1.0) for term in family.terms}
         for component, tree in formulas_of(family.expression()).items():
             parts = [

@@ -21,6 +21,10 @@ LAWS = {
         "X = -u * spline(speed, 0, 0.5, a, b, c, 0.1) + surface(x, -1, 1, time, 0, 1, a, b, c, 0); N = b * sin(x)",
         {n: ("N", 0.1 + 0.2 * k) for k, n in enumerate("abc")},
     ),
+    "wheels": (
+        "grip = 1 - a * axle * cos(rotor_angle) - b * (wheel_x - wheel_y) - c * turn_rate * rolling_speed * slip_angle",
+        {"a": ("-", 0.2), "b": ("1/m", 0.5), "c": ("s^2/(m rad^2)", 0.4)},
+    ),
     "mixed": ("X = -a * u * speed; north = b; N = c * sin(heading)", {n: ("N", 0.1) for n in "abc"}),
 }
 

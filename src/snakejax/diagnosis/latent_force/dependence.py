@@ -123,7 +123,7 @@ def _features(drive: ForceEstimator, track: MotionSamples) -> dict[str, list[_Fe
         return [_Feature(name, angles, _harmonics(most)) for most in (1, 2)]
 
     place = np.stack([track.x, track.y])
-    slip, angle = track.slip, track.angle
+    slip, angle = track.wheels["slip_speed"], track.wheels["slip_angle"]
     return {
         "world_position": [_Feature("place", place, _plane(place, degree)) for degree in (1, 2)],
         "heading": turning("heading", track.heading),

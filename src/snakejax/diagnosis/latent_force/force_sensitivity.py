@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from snakejax.core.parameter import with_parameters
-from snakejax.dynamics.contact import Motion, slip_angle
+from snakejax.dynamics.contact import Motion
+from snakejax.dynamics.law import WHEEL_VARIABLES, wheel_variables
 from snakejax.dynamics.model import Model
 from snakejax.estimation.batch import Batch
 from snakejax.estimation.kept_program import KeptProgram
@@ -35,10 +36,8 @@ class MotionSamples(NamedTuple):
     """What the vehicle names beside: angles and rates of its joints, see `AbstractVehicle.variables`."""
     accelerations: dict[str, np.ndarray]
     """Those of its joints, see `AbstractVehicle.accelerations`."""
-    slip: tuple[np.ndarray, np.ndarray]
-    """Lateral slip speed [m/s]."""
-    angle: tuple[np.ndarray, np.ndarray]
-    """Slip angle [rad]."""
+    wheels: dict[str, tuple[np.ndarray, np.ndarray]]
+    """Variables of a wheel, see `wheel_variables`: the mean of those ahead of the middle, and of those behind it."""
 
 
 class ForceLinearisation(NamedTuple):
@@ -92,14 +91,13 @@ def _track(model: Model, gait, path) -> MotionSamples:
 
 def motion_samples(model: Model, motion: Motion) -> MotionSamples:
     """The samples of a `motion` whose numbers have one value a sample."""
-    creep = model.board.creep_speed
-    places = [wheelset.place > 0 for wheelset in model.board.wheelsets]
-    pairs = [(w.lateral, slip_angle(w.lateral, w.rolling, creep)) for w in motion.wheels]
+    board = model.board
+    pairs = zip(motion.wheels, board.wheelsets, strict=True)
+    every = [(wheelset.place > 0, wheel_variables(board, wheelset, wheel, motion)) for wheel, wheelset in pairs]
     sides = []
     for ahead in (True, False):
-        on_side = [pair for pair, place in zip(pairs, places, strict=True) if place == ahead] or pairs
-        sides.append([sum(parts) / len(on_side) for parts in zip(*on_side, strict=True)])
+        on_side = [own for place, own in every if place == ahead] or [own for _, own in every]
+        sides.append({name: sum(own[name] for own in on_side) / len(on_side) for name in WHEEL_VARIABLES})
     place = (motion.time, motion.x, motion.y, motion.theta, motion.heading, motion.u, motion.w, motion.r)
-    slip, angle = ((sides[0][k], sides[1][k]) for k in range(2))
-    of_joints = (model.board.variables(motion.inputs), model.board.accelerations(motion.inputs))
-    return MotionSamples(*place, *of_joints, slip, angle)
+    of_joints = (board.variables(motion.inputs), board.accelerations(motion.inputs))
+    return MotionSamples(*place, *of_joints, {name: (sides[0][name], sides[1][name]) for name in WHEEL_VARIABLES})

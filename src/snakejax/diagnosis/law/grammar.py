@@ -6,10 +6,12 @@ A law is a sum of terms, each an amplitude times a product of variables and one 
     X, Y, N, a force in the world  v, v^2, v |v|, 1 and v, tanh(v / s), tanh((v / s)^2), a threshold, a bump, a peak,
     drag, dry friction, force      sin and cos of k v, a product of two variables,
     across the velocity, yaw       in the plane a spring to a point, a plane, a bump, a threshold, the slope of a hill,
-    drag, grip, push of a joint    friction in proportion to the distance from a point (a cable dragged along),
-                                   dry friction that falls with the speed (Stribeck), along the velocity or each axis
+    drag, grip, load from axle to  friction in proportion to the distance from a point (a cable dragged along),
+    axle, push of a joint          dry friction that falls with the speed (Stribeck), along the velocity or each axis,
+                                   dry friction or drag of a point of the body, dry friction across a direction
                                    (a push is a yaw moment, the acceleration of a joint times a function of that joint)
 
+A variable is one of a motion, or the rate at which a joint turns in the world, `(rotor_rate + r)`.
 Where no such form is good enough, see `smooth_forms`.
 """
 
@@ -51,6 +53,8 @@ ACTIONS = (
     Action("yaw_drag", (("N", "-r"),), YAW_DAMPING),
     Action("grip", (("grip", "-"),), {}),
 )
+LOAD = Action("load", (("grip", "-axle"),), {})
+"""Load goes from one axle to the other: the grip rises behind the middle by as much as it falls ahead of it."""
 PUSH_SUFFIX = "_acceleration"
 """A joint pushes the body by its acceleration: this times a function of its angle or rate is an action on N."""
 EAST, NORTH = Action("east", (("east", ""),), NEWTON), Action("north", (("north", ""),), NEWTON)
@@ -194,11 +198,11 @@ def families(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]
     yield from _pushes(pushes, ranges)
     for variable, interval in ranges.items():
         for function in _functions(variable, interval):
-            for action in ACTIONS:
+            for action in (*ACTIONS, LOAD) if "axle" in wheel else ACTIONS:
                 if variable in wheel and action.name != "grip":
                     continue
-                if action.name == "grip" and function.name == "affine":
-                    continue  # A constant part of the grip is that of the tyre.
+                if action.name in ("grip", "load") and function.name == "affine":
+                    continue  # A constant part of the grip is that of the tyre, or of one tyre.
                 yield _of_one_variable(action, function, variable)
             if variable in WORLD_VARIABLES:
                 yield _world(function, variable)
@@ -309,14 +313,18 @@ def _in_the_plane(ranges: dict[str, Range]) -> Iterator[Family]:
     q = ShapeParameter("q", {"rad": 1}, tuple(np.pi * np.arange(8) / 8))
     d = ShapeParameter("d", metre, tuple(size * np.linspace(-0.4, 0.4, 5)), -3 * size, 3 * size)
     bump = "exp(-((x - x0) ** 2 + (y - y0) ** 2) / s ** 2)"
-    edge = "(0.5 + 0.5 * tanh((x * cos(q) + y * sin(q) - d) / s))"
     slope = (("east", f"(x - x0) * {bump}"), ("north", f"(y - y0) * {bump}"))
     yield Family("hill", "world", ("x", "y"), (Term("a", {"N": 1, "m": -1}, slope),), (*middles, s))
     distance = tuple((side, f"{against} * sqrt((x - x0) ** 2 + (y - y0) ** 2)") for side, against in DRY_FRICTION)
     yield Family("cable", "friction", ("x", "y"), (Term("a", {"N": 1, "m": -1}, distance),), tuple(middles))
-    for action in ACTIONS:
-        yield Family(
-            "plane", action.name, ("x", "y"), tuple(_term(action, a, v, metre) for a, v in (("a", "x"), ("b", "y")))
-        )
-        yield Family("bump in the plane", action.name, ("x", "y"), (_term(action, "a", bump, {}),), (*middles, s))
-        yield Family("threshold in the plane", action.name, ("x", "y"), (_term(action, "a", edge, {}),), (q, d, s))
+    of_wheels = [
+        (action, ("wheel_x", "wheel_y")) for action in ACTIONS if action.name == "grip" and "wheel_x" in ranges
+    ]
+    for action, place in [*((action, ("x", "y")) for action in ACTIONS), *of_wheels]:
+        x, y = place
+        bump = f"exp(-(({x} - x0) ** 2 + ({y} - y0) ** 2) / s ** 2)"
+        edge = f"(0.5 + 0.5 * tanh(({x} * cos(q) + {y} * sin(q) - d) / s))"
+        plane = tuple(_term(action, a, v, metre) for a, v in (("a", x), ("b", y)))
+        yield Family("plane", action.name, place, plane)
+        yield Family("bump in the plane", action.name, place, (_term(action, "a", bump, {}),), (*middles, s))
+        yield Family("threshold in the plane", action.name, place, (_term(action, "a", edge, {}),), (q, d, s))

@@ -31,7 +31,8 @@ WIDER = (2.0, 4.0)
 """Multiples of the width of a form from which a fit to whole runs begins anew."""
 GENERAL = {
     **{"x": "world_position", "y": "world_position", "u": "speed", "w": "speed", "theta": "heading"},
-    **{"slip_speed": "slip", "slip_angle": "slip"},
+    **{"slip_speed": "slip", "slip_angle": "slip", "turn_rate": "steering_rate"},
+    **{"wheel_x": "world_position", "wheel_y": "world_position"},
 }
 """How results name a variable of the grammar, where they do not name it as the grammar does."""
 UNNAMED = ("r",)

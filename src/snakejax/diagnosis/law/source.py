@@ -9,11 +9,7 @@ from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.dynamics.law import VARIABLES, WHEEL_VARIABLES, GripLaw, Law
 
 _SPEED = "jnp.sqrt(motion.u**2 + motion.w**2 + 1e-12)"
-_OF_WHEEL = {
-    "slip_speed": "wheel.lateral",
-    "slip_angle": "sj.dynamics.slip_angle(wheel.lateral, wheel.rolling, motion.board.creep_speed)",
-    "rolling_speed": "wheel.rolling",
-}
+_OF_WHEEL = "sj.dynamics.wheel_variables(motion.board, wheel.wheelset, wheel, motion)"
 
 
 def law_source(law: Law, beside: Sequence[str] = ()) -> str:
@@ -61,7 +57,7 @@ def _variable(name: str) -> str:
     if name == "speed":
         return _SPEED
     if name in WHEEL_VARIABLES:
-        return _OF_WHEEL[name]
+        return f"{_OF_WHEEL}[{name!r}]"
     if name in VARIABLES:
         return f"motion.{name}"
     of_joints = "accelerations" if name.endswith("_acceleration") else "variables"

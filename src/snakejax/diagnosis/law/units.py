@@ -10,7 +10,7 @@ Unit = Mapping[str, int]
 
 VARIABLE_UNITS: dict[str, Unit] = {
     "time": {"s": 1},
-    **{name: {"m": 1} for name in ("x", "y")},
+    **{name: {"m": 1} for name in ("x", "y", "wheel_x", "wheel_y")},
     **{name: {"rad": 1} for name in ("heading", "theta", "slip_angle")},
     **{name: {"m": 1, "s": -1} for name in ("u", "w", "speed", "slip_speed", "rolling_speed")},
     "r": {"rad": 1, "s": -1},

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from snakejax.core.formula import evaluated, parsed
+from snakejax.dynamics.law import WHEEL_VARIABLES
 
 from ..latent_force.estimate import ForceEstimator, ForceSolution
 from ..latent_force.force_sensitivity import MotionSamples
@@ -13,6 +14,8 @@ from ..latent_force.piecewise_force import SPACING
 from .grammar import Family, Range
 from .knots import KnotFit, KnotMeans, hats_at
 
+OF_WHEEL = tuple(name for name in WHEEL_VARIABLES if name != "rolling_speed")
+"""The variables of a wheel in a law: its rolling speed is nearly that of the body."""
 FINEST = 0.02
 """Samples nearer to each other [s] are left out: the knots of the force are five times as far apart."""
 
@@ -27,9 +30,9 @@ def variables_of(
     variables = {name: np.stack([arranged(np.asarray(values))] * 2) for name, values in own.items()}
     if np.allclose(own["theta"], own["heading"], rtol=0, atol=1e-6):
         variables.pop("theta")
-    wheel = {"slip_speed": track.slip, "slip_angle": track.angle}
-    variables |= {name: np.stack([arranged(np.asarray(side)) for side in sides]) for name, sides in wheel.items()}
-    return variables, tuple(wheel)
+    for name in OF_WHEEL:
+        variables[name] = np.stack([arranged(np.asarray(side)) for side in track.wheels[name]])
+    return variables, OF_WHEEL
 
 
 class Fitted(NamedTuple):
@@ -91,8 +94,9 @@ class ForceWindows(NamedTuple):
     def ranges(self) -> dict[str, Range]:
         """What was seen of each variable that varies, and of the rate at which each joint turns in the world."""
         r = self.variables["r"]
-        turns = {f"({name} + r)": rate + r for name, rate in self.variables.items() if name.endswith("_rate")}
-        seen_of = self.variables | turns
+        own = {name: values for name, values in self.variables.items() if name != "axle"}
+        joints = {name: rate for name, rate in own.items() if name.endswith("_rate") and name not in self.wheel}
+        seen_of = own | {f"({name} + r)": rate + r for name, rate in joints.items()}
         ends = {name: Range(*np.percentile(values, [2, 98])) for name, values in seen_of.items()}
         return {name: interval for name, interval in ends.items() if interval.high - interval.low > 1e-6}
 
