@@ -215,6 +215,27 @@ def test_a_parameter_that_moves_nothing_hides_no_law() -> None:
     assert beside.steps[0, 0] == 0
 
 
+def test_a_form_that_moves_nothing_but_by_rounding_fits_nothing() -> None:
+    """As a load that goes from one axle to the other does where both slip alike: its squares may be negative."""
+    made, _ = CASES["cable"]
+    windows = windows_of(made)
+    two = windows.histories(made, {}).repeat(2, axis=1)
+    two[:, 1] = 0.0
+    normal = ForceWindows.normal
+
+    class Rounded(ForceWindows):
+        def normal(self, histories: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            matrix, right = normal(self, histories)
+            matrix[..., -1, -1], right[..., -1] = -2e-12, 3e-9
+            return matrix, right
+
+    with np.errstate(all="raise"):
+        found = Rounded(*windows).fitted(two)
+    alone = windows.fitted(two[:, :1])
+    np.testing.assert_allclose(found.left_out, alone.left_out, rtol=1e-9)
+    np.testing.assert_allclose(found.amplitudes[0], [alone.amplitudes[0, 0], 0.0], rtol=1e-9)
+
+
 @pytest.mark.slow
 def test_noise_has_no_law() -> None:
     assert search(windows_of(law_of(("X", "0 * x")))) == ()

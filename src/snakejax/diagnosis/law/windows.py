@@ -184,8 +184,10 @@ class ForceWindows(NamedTuple):
         A = matrix + np.einsum("gi,ij->gij", ridge, np.eye(ridge.shape[1]))
         if penalty is not None:
             A[:, P:, P:] += penalty
-        size = np.sqrt(np.einsum("gii->gi", A))
-        # A parameter that moves nothing and has no prior stays where it is.
-        size = np.where(size > 0, size, 1.0)
+        # What moves nothing but by rounding, and has no prior, stays where it is.
+        diagonal = np.einsum("gii->gi", A)
+        moves = diagonal > 0
+        size = np.sqrt(np.where(moves, diagonal, 1.0))
+        A, full = A * (moves[:, :, None] & moves[:, None, :]), full * moves
         scaled = A / (size[:, :, None] * size[:, None, :]) + 1e-12 * np.eye(A.shape[1])
         return np.linalg.solve(scaled, (full / size)[..., None])[..., 0] / size
