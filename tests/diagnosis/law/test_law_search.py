@@ -72,10 +72,10 @@ def law_of(*components: tuple[str, str]) -> Family:
     return Family("made", "", (), (Term("a", {}, components),))
 
 
-def _dragged(a: str, p: str, q: str) -> tuple[tuple[str, str], ...]:
-    """Dry friction of the point (p, q) of the body."""
+def _dragged(a: str, p: str, q: str, s: str) -> tuple[tuple[str, str], ...]:
+    """Dry friction of the point (p, q) of the body, which begins over the speed s."""
     along, across = f"(u - {q} * r)", f"(w + {p} * r)"
-    size = f"sqrt({along} ** 2 + {across} ** 2 + 2.5e-05)"
+    size = f"sqrt({along} ** 2 + {across} ** 2 + {s} ** 2)"
     turn = f"({p} * {across} - {q} * {along})"
     return tuple((side, f"{a} * {v} / {size}") for side, v in (("X", along), ("Y", across), ("N", turn)))
 
@@ -87,6 +87,11 @@ def _across(a: str, q: str, s: str) -> tuple[tuple[str, str], ...]:
     return (("X", f"{against} * {cosine}"), ("Y", f"{against} * {sine}"))
 
 
+_STOPS = [f"sqrt((steering_angle {sign} 0.3) ** 2 + 0.0025)" for sign in "-+"]
+_AWAY, _TO = "sqrt((x - 0.2) ** 2 + (y + 0.3) ** 2 + 0.0016)", (("east", "x - 0.2"), ("north", "y + 0.3"))
+_PULL = f"({_AWAY} - 0.7 + sqrt(({_AWAY} - 0.7) ** 2 + 0.0016)) / {_AWAY}"
+_LENGTH = "sqrt((x - x0) ** 2 + (y - y0) ** 2 + s ** 2)"
+_TAUT = f"({_LENGTH} - d + sqrt(({_LENGTH} - d) ** 2 + s ** 2)) / {_LENGTH}"
 _SPEED = "sqrt(u ** 2 + w ** 2 + 2.5e-05)"
 _DISTANCE = "sqrt((x - 0.2) ** 2 + (y + 0.3) ** 2)"
 CASES = {
@@ -146,6 +151,33 @@ CASES = {
             {"a": (0.15, "N"), "b": (0.2, "N"), "s": (0.05, "m/s"), "v0": (0.3, "m/s")},
         ),
     ),
+    "cable that goes taut": (
+        law_of(("N", "-0.2 * (steering_angle - 0.25 + sqrt((steering_angle - 0.25) ** 2 + 0.15 ** 2))")),
+        (
+            "N = a * (steering_angle - v0 + sqrt((steering_angle - v0) ** 2 + s ** 2))",
+            {"a": (-0.2, "N m/rad"), "v0": (0.25, "rad"), "s": (0.15, "rad")},
+        ),
+    ),
+    "spring with play": (
+        law_of(("N", f"-0.2 * (2 * steering_angle + {_STOPS[0]} - {_STOPS[1]})")),
+        (
+            "N = a * (2 * steering_angle + sqrt((steering_angle - v0) ** 2 + s ** 2)"
+            " - sqrt((steering_angle + v0) ** 2 + s ** 2))",
+            {"a": (-0.2, "N m/rad"), "v0": (0.3, "rad"), "s": (0.05, "rad")},
+        ),
+    ),
+    "tether": (
+        law_of(
+            *(
+                (side, f"-0.3 * ({v}) * ({_AWAY} - 0.7 + sqrt(({_AWAY} - 0.7) ** 2 + 0.0016)) / {_AWAY}")
+                for side, v in _TO
+            )
+        ),
+        (
+            "; ".join(f"{side} = -k * ({v0}) * {_TAUT}" for side, v0 in (("east", "x - x0"), ("north", "y - y0"))),
+            {"k": (0.3, "N/m"), "x0": (0.2, "m"), "y0": (-0.3, "m"), "d": (0.7, "m"), "s": (0.04, "m")},
+        ),
+    ),
     "load that an eccentric rotor moves": (
         law_of(("grip", "-0.2 * axle * sin(1 * rotor_angle)")),
         ("grip = 1 - a * axle * sin(k * rotor_angle)", {"a": (0.2, "-"), "k": (1.0, "1/rad")}),
@@ -166,10 +198,10 @@ CASES = {
         ("N = a * (rotor_rate + r) * abs((rotor_rate + r))", {"a": (-0.01, "N m s^2/rad^2")}),
     ),
     "plug dragged along": (
-        law_of(*_dragged("-0.2", "-0.4", "0.1")),
+        law_of(*_dragged("-1.0", "-0.4", "0.1", "0.03")),
         (
-            "; ".join(f"{side} = {text}" for side, text in _dragged("-a", "p", "q")),
-            {"a": (0.2, "N"), "p": (-0.4, "m"), "q": (0.1, "m")},
+            "; ".join(f"{side} = {text}" for side, text in _dragged("-a", "p", "q", "s")),
+            {"a": (1.0, "N"), "p": (-0.4, "m"), "q": (0.1, "m"), "s": (0.03, "m/s")},
         ),
     ),
     "floor boards": (

@@ -4,11 +4,13 @@ A law is a sum of terms, each an amplitude times a product of variables and one 
 
     action                         function of a variable v
     X, Y, N, a force in the world  v, v^2, v |v|, 1 and v, tanh(v / s), tanh((v / s)^2), a threshold, a bump, a peak,
-    drag, dry friction, force      sin and cos of k v, a product of two variables,
-    across the velocity, yaw       in the plane a spring to a point, a plane, a bump, a threshold, the slope of a hill,
-    drag, grip, load from axle to  friction in proportion to the distance from a point (a cable dragged along),
-    axle, push of a joint          dry friction that falls with the speed (Stribeck), along the velocity or each axis,
-                                   dry friction or drag of a point of the body, dry friction across a direction
+    drag, dry friction, force      a ramp from a stop on, from two stops on, a line with play, sin and cos of k v,
+    across the velocity, yaw       a product of two variables,
+    drag, grip, load from axle to  in the plane a spring to a point, a tether to a point, a plane, a bump, a threshold,
+    axle, push of a joint          the slope of a hill, friction in proportion to the distance from a point (a cable
+                                   dragged along), dry friction that falls with the speed (Stribeck), along the velocity
+                                   or each axis, dry friction or drag of a point of the body, dry friction across a
+                                   direction
                                    (a push is a yaw moment, the acceleration of a joint times a function of that joint)
 
 A variable is one of a motion, or the rate at which a joint turns in the world, `(rotor_rate + r)`.
@@ -165,8 +167,25 @@ def _functions(variable: str, interval: Range) -> Iterator[_Function]:
     yield _Function("threshold", ((f"(0.5 + 0.5 * tanh(({v} - v0) / s))", 0),), (v0, width))
     yield _Function("bump", ((f"exp(-(({v} - v0) / s) ** 2)", 0),), (v0, width))
     yield _Function("peak", ((f"1 / (1 + (({v} - v0) / s) ** 2)", 0),), (v0, width))
+    yield from _ramps(v, unit, interval)
     if variable in ("x", "y", "time") or variable.endswith("_angle"):
         yield _Function("wave", ((f"sin(k * {v})", 0), (f"cos(k * {v})", 0)), (wave_number(v, interval),))
+
+
+def _ramps(v: str, unit: Unit, interval: Range) -> Iterator[_Function]:
+    """Functions that are zero on one side of v0 and grow along a line on the other, with a corner that is round over s:
+    from a stop on, from two stops on, and what a spring with play does."""
+    places = tuple(interval.low + interval.width * part for part in (0.1, 0.3, 0.5, 0.7, 0.9))
+    v0 = ShapeParameter("v0", unit, places, interval.low, interval.high)
+    s = ShapeParameter("s", unit, (0.05 * interval.width,), 0.002 * interval.width, interval.width)
+    for name, beyond in (("ramp", f"{v} - v0"), ("falling ramp", f"v0 - {v}")):
+        yield _Function(name, ((f"({beyond} + sqrt(({v} - v0) ** 2 + s ** 2))", 1),), (v0, s))
+    if interval.low < 0 < interval.high:
+        play = min(-interval.low, interval.high)
+        v0 = v0._replace(starts=tuple(play * part for part in (0.2, 0.4, 0.6, 0.8)), low=0.0, high=play)
+        above, below = (f"sqrt(({v} {sign} v0) ** 2 + s ** 2)" for sign in "-+")
+        yield _Function("two ramps", ((f"({above} + {below} - 2 * v0)", 1),), (v0, s))
+        yield _Function("play", ((f"(2 * {v} + {above} - {below})", 1),), (v0, s))
 
 
 def wave_number(variable: str, interval: Range) -> ShapeParameter:
@@ -221,21 +240,22 @@ def families(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]
         yield from _stribeck(ranges["speed"].largest)
         yield _friction_across("theta" if "theta" in ranges else "heading", ranges["speed"].largest)
         if "r" in ranges:
-            yield from _at_a_point(ranges["speed"].largest / ranges["r"].largest)
+            yield from _at_a_point(ranges["speed"].largest, ranges["speed"].largest / ranges["r"].largest)
 
 
-def _at_a_point(size: float) -> Iterator[Family]:
+def _at_a_point(fastest: float, size: float) -> Iterator[Family]:
     """Dry friction or drag of a point that is p ahead of the centre and q to its left: what the body drags along.
-    `size` [m]: where a turn moves a point as fast as the body moves."""
+    `size` [m]: where a turn moves a point as fast as the body moves. Dry friction begins over the speed s."""
     metre: Unit = {"m": 1}
+    s = ShapeParameter("s", {"m": 1, "s": -1}, (0.01 * fastest, 0.1 * fastest), 0.003 * fastest, fastest)
     starts = (tuple(size * part for part in parts) for parts in ((-2, -1, -0.4, 0.4, 1, 2), (-1, -0.3, 0, 0.3, 1)))
     shape = tuple(ShapeParameter(k, metre, v, -10 * size, 10 * size) for k, v in zip("pq", starts, strict=True))
     along, across = "(u - q * r)", "(w + p * r)"
     turn = f"(p * {across} - q * {along})"
-    length = f" / sqrt({along} ** 2 + {across} ** 2 + {STICKING_SPEED**2})"
-    for name, over, unit in (("friction", length, NEWTON), ("drag", "", DAMPING)):
+    length = f" / sqrt({along} ** 2 + {across} ** 2 + s ** 2)"
+    for name, over, unit, own in (("friction", length, NEWTON, (*shape, s)), ("drag", "", DAMPING, shape)):
         formulas = tuple((side, f"-{v}{over}") for side, v in (("X", along), ("Y", across), ("N", turn)))
-        yield Family(f"{name} at a point", name, ("u", "w", "r"), (Term("a", unit, formulas),), shape)
+        yield Family(f"{name} at a point", name, ("u", "w", "r"), (Term("a", unit, formulas),), own)
 
 
 def _friction_across(angle: str, fastest: float) -> Family:
@@ -315,6 +335,12 @@ def _in_the_plane(ranges: dict[str, Range]) -> Iterator[Family]:
     bump = "exp(-((x - x0) ** 2 + (y - y0) ** 2) / s ** 2)"
     slope = (("east", f"(x - x0) * {bump}"), ("north", f"(y - y0) * {bump}"))
     yield Family("hill", "world", ("x", "y"), (Term("a", {"N": 1, "m": -1}, slope),), (*middles, s))
+    # Without a slack length it is a spring, and without a corner nobody can follow its slope.
+    away, corner = "sqrt((x - x0) ** 2 + (y - y0) ** 2 + s ** 2)", s._replace(starts=(0.05 * size,), low=0.002 * size)
+    slack = ShapeParameter("d", metre, (0.2 * size, 0.5 * size, 0.8 * size), 0.0, 5 * size)
+    taut = f"({away} - d + sqrt(({away} - d) ** 2 + s ** 2)) / {away}"
+    pull = (("east", f"-(x - x0) * {taut}"), ("north", f"-(y - y0) * {taut}"))
+    yield Family("tether", "world", ("x", "y"), (Term("k", {"N": 1, "m": -1}, pull),), (*middles, slack, corner))
     distance = tuple((side, f"{against} * sqrt((x - x0) ** 2 + (y - y0) ** 2)") for side, against in DRY_FRICTION)
     yield Family("cable", "friction", ("x", "y"), (Term("a", {"N": 1, "m": -1}, distance),), tuple(middles))
     of_wheels = [
