@@ -137,20 +137,24 @@ class ForceWindows(NamedTuple):
     def normal(self, histories: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The normal equations (R, G, P + T, P + T) and (R, G, P + T) of parameters and amplitudes, run by run."""
         P, (G, T, W, _), R = len(self.prior_mean), histories.shape, len(self.square)
+        # A form acts on few of the knots.
+        used = P + np.flatnonzero(histories.any(axis=(0, 1, 2)))
+        rows = np.concatenate([np.arange(P), used])
+        h = histories[..., used - P].transpose(2, 3, 0, 1).reshape(W, len(used), G * T)
+        crossed = (self.matrix[:, rows][:, :, used] @ h).reshape(W, len(rows), G, T)
+        h = h.reshape(W, len(used), G, T)
+        of_run = (self.owner == np.arange(R)[:, None]).astype(float)
+
+        def by_run(parts: np.ndarray) -> np.ndarray:
+            return (of_run @ parts.reshape(W, -1)).reshape(R, *parts.shape[1:])
+
         full, onto_full = np.zeros((R, G, P + T, P + T)), np.zeros((R, G, P + T))
-        h = histories.transpose(2, 3, 0, 1).reshape(W, histories.shape[-1], G * T)
-        crossed = (self.matrix[:, :, P:] @ h).reshape(W, self.matrix.shape[1], G, T)
-        inner = np.einsum("wjgt,wjgs->wgts", h.reshape(W, histories.shape[-1], G, T), crossed[:, P:], optimize=True)
-        slopes = np.einsum("wj,wjgt->wgt", self.right[:, P:], h.reshape(W, histories.shape[-1], G, T), optimize=True)
-        for k in range(W):
-            run = self.owner[k]
-            full[run, :, :P, :P] += self.matrix[k, :P, :P]
-            mixed = crossed[k, :P].transpose(1, 0, 2)
-            full[run, :, :P, P:] += mixed
-            full[run, :, P:, :P] += mixed.transpose(0, 2, 1)
-            full[run, :, P:, P:] += inner[k]
-            onto_full[run, :, :P] += self.right[k, :P]
-            onto_full[run, :, P:] += slopes[k]
+        full[..., :P, :P] = by_run(self.matrix[:, :P, :P])[:, None]
+        mixed = by_run(crossed[:, :P])
+        full[..., :P, P:], full[..., P:, :P] = mixed.transpose(0, 2, 1, 3), mixed.transpose(0, 2, 3, 1)
+        full[..., P:, P:] = by_run(np.einsum("wjgt,wjgs->wgts", h, crossed[:, P:], optimize=True))
+        onto_full[..., :P] = by_run(self.right[:, :P])[:, None]
+        onto_full[..., P:] = by_run(np.einsum("wj,wjgt->wgt", self.right[:, used], h, optimize=True))
         return full, onto_full
 
     def fitted(self, histories: np.ndarray, penalty: np.ndarray | None = None) -> Fitted:
