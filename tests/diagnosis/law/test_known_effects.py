@@ -51,7 +51,7 @@ def test_known_effects_are_kept_beside_a_law_where_they_predict_runs_left_out(
     monkeypatch.setattr(known_effects, "stepwise_selection", lambda *_: list(steps_found))
     monkeypatch.setattr(known_effects, "consistent_with_noise", lambda _: False)
     monkeypatch.setattr(known_effects, "_converged", lambda step: SimpleNamespace(step="fitted on"))
-    monkeypatch.setattr(known_effects, "expected_misfits", lambda _, step: np.array(left_out))
+    monkeypatch.setattr(known_effects, "left_out_misfits", lambda _, step: np.array(left_out))
     like: Any = SimpleNamespace(candidates={"ground_slope": (), "yaw_bias": ()})
     taken = known_effects.known_effects_beside(None, None, like, laws, lambda _: None)  # type: ignore[arg-type]
     assert len(taken) == kept and all(each.step == "fitted on" for each in taken)
@@ -92,7 +92,7 @@ def test_a_law_is_searched_again_beside_the_effects_that_were_found_beside_it(
 
     monkeypatch.setattr(known_effects, "estimate_latent_force", estimate)
     monkeypatch.setattr(known_effects, "best_laws", best)
-    monkeypatch.setattr(known_effects, "expected_misfits", lambda _, step: np.array([3.0, 3.1, 2.9]))
+    monkeypatch.setattr(known_effects, "left_out_misfits", lambda _, step: np.array([3.0, 3.1, 2.9]))
     monkeypatch.setattr(known_effects, "fitted_laws", lambda *arguments: ("alone", arguments[3]))
     monkeypatch.setattr(known_effects, "selection_step", lambda _, change, name, fit: (change, name, fit))
     again = known_effects.law_beside_effects(None, None, like, last, laws, lambda _: None)  # type: ignore[arg-type]

@@ -31,16 +31,33 @@ def test_no_step_is_kept_after_the_one_that_predicts_best(left_out, kept, monkey
     assert fitting.predicting_steps(steps, no_progress) == steps[:kept]
 
 
-def test_far_from_the_recordings_the_misfit_of_the_fit_stands_for_that_of_runs_left_out(monkeypatch) -> None:
-    """By hand: runs of 2 and 1 present samples with residuals (3, 4) and 6, the second run not to train on."""
-    monkeypatch.setattr(fitting, "left_out_misfits", lambda candidate_set, fit: pytest.fail("is not to be refitted"))
-    weight = np.array([[[1.0, 1.0, 0.0]], [[1.0, 1.0, 1.0]], [[1.0, 0.0, 0.0]]])
+def test_each_run_is_predicted_by_a_fit_to_the_others_however_far_the_model_is_from_them() -> None:
+    """The values of a fit here are the runs that it was fitted to, and a misfit says which runs they are."""
+
+    class Problem:
+        batch = SimpleNamespace(weight=np.array([[[1.0, 1.0, 0.0]], [[1.0, 1.0, 1.0]], [[1.0, 0.0, 0.0]]]))
+
+        def fit(self, values: Any, free: Any, runs: list[int], start: Any, **how: Any) -> Any:
+            fitted_to = runs if free else values
+            misfit = 100.0 * len(fitted_to) + 10 * sum(fitted_to) + runs[0]
+            return SimpleNamespace(values=fitted_to, misfit=np.nan if runs == [3] else misfit)
+
     residual = np.array([[[3.0, 4.0, 9.0]], [[5.0, 5.0, 5.0]], [[6.0, 7.0, 8.0]]])
-    problem = SimpleNamespace(batch=SimpleNamespace(weight=weight))
-    candidate_set: Any = SimpleNamespace(criteria=CRITERIA, problem=problem, train=[0, 2])
-    linearised = SimpleNamespace(residual=residual)
-    fit: Any = SimpleNamespace(solution=SimpleNamespace(misfit=2 * CRITERIA.far_misfit, linearised=linearised))
-    assert fitting.expected_misfits(candidate_set, fit).tolist() == [12.5, 36.0]
+    solution = SimpleNamespace(
+        values=None,
+        free=["D"],
+        start=None,
+        misfit=2 * CRITERIA.far_misfit,
+        linearised=SimpleNamespace(residual=residual),
+    )
+    fit: Any = SimpleNamespace(solution=solution)
+
+    def candidates(train: list[int]) -> Any:
+        return SimpleNamespace(criteria=CRITERIA, problem=Problem(), train=train)
+
+    assert fitting.left_out_misfits(candidates([0, 2, 3]), fit).tolist() == [250.0, 232.0, np.inf]
+    # Of one run by hand: present samples with residuals 3 and 4.
+    assert fitting.left_out_misfits(candidates([0]), fit).tolist() == [12.5]
 
 
 @pytest.mark.parametrize(

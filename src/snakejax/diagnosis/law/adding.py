@@ -11,7 +11,7 @@ from snakejax.recording.run import Case, Noise
 from ..latent_force.missing_force import LatentForce
 from ..selection.working_step import WorkingStep
 from .exact_laws import TRIED, explains_train_runs, is_needless, likeliest, smooth_trials
-from .fitting import AddedLaws, expected_misfits, fitted_laws, left_out_misfits, predicts_better
+from .fitting import AddedLaws, fitted_laws, left_out_misfits, predicts_better
 from .search import ProposedLaw, much_better, search, smooth_laws
 
 RIVAL = 2.0
@@ -52,7 +52,6 @@ def best_laws(
         if explains_train_runs(like, candidate_set, fit):
             own = run_misfits(candidate_set.problem, fit.solution, candidate_set.train)
             return AddedLaws(laws, candidate_set, fit, own)
-        # Far from the noise a linear model says nothing about runs left out.
         progress(ProgressEvent(Phase.PREDICTION, f"does {texts} predict omitted runs?"))
         return AddedLaws(laws, candidate_set, fit, left_out_misfits(candidate_set, fit))
 
@@ -80,7 +79,7 @@ def best_laws(
     both = None if second is None else added((best.laws[0], second))
     path = [best] if both is None or not predicts_better(both.left_out, best.left_out) else [best, both]
     rivals = [like] if last is like else [like, last]
-    expected = [expected_misfits(step.candidate_set, step.step) for step in rivals]
+    expected = [left_out_misfits(step.candidate_set, step.step) for step in rivals]
     return path if all(predicts_better(path[-1].left_out, before) for before in expected) else []
 
 

@@ -112,25 +112,17 @@ def fitted_laws(
 
 
 def left_out_misfits(candidate_set: CandidateSet, fit: CandidateFit) -> np.ndarray:
-    """The misfit (R,) of each train run under parameters fitted to the others; only its start is its own."""
+    """The misfit (R,) of each train run under parameters fitted to the others; only its start is its own. Where there
+    is but one run, that of the fit."""
     problem, solution, train = candidate_set.problem, fit.solution, candidate_set.train
+    if len(train) == 1:
+        return run_misfits(problem, solution, train)
     free, misfits = list(solution.free), []
     for run in train:
         others = [k for k in train if k != run]
         apart = problem.fit(solution.values, free, others, solution.start, crawl=CRAWL, most=10)
         misfits.append(problem.fit(apart.values, [], [run], solution.start, most=20).misfit)
     return np.nan_to_num(np.array(misfits), nan=np.inf)
-
-
-def expected_misfits(candidate_set: CandidateSet, fit: CandidateFit) -> np.ndarray:
-    """The misfit (R,) of train runs that were left out; where the fit is far from the recordings, that of its own
-    runs, which is smaller."""
-    near = fit.solution.misfit < candidate_set.criteria.far_misfit
-    return (
-        left_out_misfits(candidate_set, fit)
-        if near
-        else run_misfits(candidate_set.problem, fit.solution, candidate_set.train)
-    )
 
 
 def predicts_better(after: np.ndarray, before: np.ndarray) -> bool:
@@ -149,5 +141,5 @@ def predicting_steps(steps: Sequence[WorkingStep], progress: Progress) -> list[W
     if len(steps) < 2:
         return list(steps)
     progress(ProgressEvent(Phase.PREDICTION, "does each step predict omitted runs?"))
-    expected = [expected_misfits(step.candidate_set, step.step).mean() for step in steps]
+    expected = [left_out_misfits(step.candidate_set, step.step).mean() for step in steps]
     return list(steps[: int(np.argmin(expected)) + 1])

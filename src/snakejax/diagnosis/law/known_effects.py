@@ -16,7 +16,7 @@ from ..selection.refit import refit
 from ..selection.stepwise import stepwise_selection
 from ..selection.working_step import WorkingStep, selection_step
 from .adding import best_laws
-from .fitting import AddedLaws, candidate_set_with, expected_misfits, fitted_laws, predicts_better
+from .fitting import AddedLaws, candidate_set_with, fitted_laws, left_out_misfits, predicts_better
 
 
 def known_effects_beside(
@@ -32,7 +32,7 @@ def known_effects_beside(
     steps = stepwise_selection(candidate_set, step, ranking, [], progress, no_progress)
     if steps and not consistent_with_noise(steps[-1].step.solution):
         steps[-1] = _converged(steps[-1])
-    if not steps or not predicts_better(expected_misfits(candidate_set, steps[-1].step), laws.left_out):
+    if not steps or not predicts_better(left_out_misfits(candidate_set, steps[-1].step), laws.left_out):
         return []
     return steps
 
@@ -73,7 +73,7 @@ def law_beside_effects(
     if len(better) != 1:
         return None
     (added,) = better
-    if not predicts_better(added.left_out, expected_misfits(last.candidate_set, last.step)):
+    if not predicts_better(added.left_out, left_out_misfits(last.candidate_set, last.step)):
         return None
     steps = []
     for count, name in enumerate((*added.names, *effects[:-1])):
