@@ -197,6 +197,13 @@ CASES = {
         law_of(("N", "-0.01 * (rotor_rate + r) * abs(rotor_rate + r)")),
         ("N = a * (rotor_rate + r) * abs((rotor_rate + r))", {"a": (-0.01, "N m s^2/rad^2")}),
     ),
+    "drag that grows faster than the rate": (
+        law_of(("N", "-0.02 * steering_rate - 0.02 * steering_rate * abs(steering_rate)")),
+        (
+            "N = a * steering_rate + b * steering_rate * abs(steering_rate)",
+            {"a": (-0.02, "N m s/rad"), "b": (-0.02, "N m s^2/rad^2")},
+        ),
+    ),
     "plug dragged along": (
         law_of(*_dragged("-1.0", "-0.4", "0.1", "0.03")),
         (

@@ -3,9 +3,9 @@
 A law is a sum of terms, each an amplitude times a product of variables and one function of a variable:
 
     action                         function of a variable v
-    X, Y, N, a force in the world  v, v^2, v |v|, 1 and v, tanh(v / s), tanh((v / s)^2), a threshold, a bump, a peak,
-    drag, dry friction, force      a ramp from a stop on, from two stops on, a line with play, sin and cos of k v,
-    across the velocity, yaw       a product of two variables,
+    X, Y, N, a force in the world  v, v^2, v |v|, v and v |v|, 1 and v, tanh(v / s), tanh((v / s)^2), a threshold, a
+    drag, dry friction, force      bump, a peak, a ramp from a stop on, from two stops on, a line with play, sin and cos
+    across the velocity, yaw       of k v, a product of two variables,
     drag, grip, load from axle to  in the plane a spring to a point, a tether to a point, a plane, a bump, a threshold,
     axle, push of a joint          the slope of a hill, friction in proportion to the distance from a point (a cable
                                    dragged along), dry friction that falls with the speed (Stribeck), along the velocity
@@ -154,6 +154,7 @@ def _functions(variable: str, interval: Range) -> Iterator[_Function]:
     if interval.low < 0 < interval.high:
         yield _Function("absolute value", ((f"abs({v})", 1),))
         yield _Function("signed square", ((f"{v} * abs({v})", 2),))
+        yield _Function("linear and signed square", ((v, 1), (f"{v} * abs({v})", 2)))
     yield _Function("affine", (("", 0), (v, 1)))
     scales = tuple(interval.largest * part for part in (0.1, 0.25, 0.5, 1.0))
     s = ShapeParameter("s", unit, scales, 0.01 * interval.largest, 20 * interval.largest)
