@@ -87,14 +87,14 @@ def force_without(laws: Sequence[FittedLaw], discrepancy: Discrepancy) -> Latent
     says, which was estimated without them. The share of a law is that of what those before it leave."""
     last = laws[-1]
     search, values = last.search, last.search.values(last.linear)
-    found, left = [], 1.0
+    proposals, left = [], 1.0
     for law in laws:
         columns = list(search.model.candidates[law.name])
         values[columns] = search.model.neutral[columns]
-        found.append(law.proposal.law._replace(share=left * law.proposal.law.share))
+        proposals.append(law.proposal.law._replace(share=left * law.proposal.law.share))
         left *= 1 - law.proposal.law.share
     point = last.linear.point._replace(values=values, discrepancy=discrepancy)
-    return random_force(search, point, last.candidate_set.switched).with_found(found)
+    return random_force(search, point, last.candidate_set.switched).with_found(proposals)
 
 
 def predicts_heldout_runs(assessment: Assessment, criteria: SelectionCriteria) -> bool:

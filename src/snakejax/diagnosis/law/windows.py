@@ -96,8 +96,8 @@ class ForceWindows(NamedTuple):
         r = self.variables["r"]
         own = {name: values for name, values in self.variables.items() if name != "axle"}
         joints = {name: rate for name, rate in own.items() if name.endswith("_rate") and name not in self.wheel}
-        seen_of = own | {f"({name} + r)": rate + r for name, rate in joints.items()}
-        ends = {name: Range(*np.percentile(values, [2, 98])) for name, values in seen_of.items()}
+        histories_of = own | {f"({name} + r)": rate + r for name, rate in joints.items()}
+        ends = {name: Range(*np.percentile(values, [2, 98])) for name, values in histories_of.items()}
         return {name: interval for name, interval in ends.items() if interval.high - interval.low > 1e-6}
 
     def histories(self, family: Family, shape: Mapping[str, np.ndarray]) -> np.ndarray:
