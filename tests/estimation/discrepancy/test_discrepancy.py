@@ -27,6 +27,11 @@ from snakejax.estimation.discrepancy.kalman import (
 )
 from snakejax.estimation.discrepancy.least_squares import Prior, optimum, quadratic
 from snakejax.estimation.discrepancy.open_loop import open_loop
+from snakejax.estimation.discrepancy.restricted_likelihood import (
+    likelihood_of,
+    logarithms_of,
+    restricted_likelihood,
+)
 from snakejax.estimation.discrepancy.segment_dynamics import BODY, FORCE
 from snakejax.estimation.discrepancy.segmented_runs import LENGTH, cut_segments
 from snakejax.estimation.discrepancy.segments import LinearisedSegments, Segments
@@ -34,7 +39,6 @@ from snakejax.estimation.discrepancy.strength import (
     Scales,
     _minimum,
     estimate_discrepancy,
-    restricted_likelihood,
     scales_of,
 )
 
@@ -172,6 +176,18 @@ def test_the_restricted_likelihood_is_that_of_the_samples_with_the_parameters_in
     right = gram[1:, 0] + prior.precision * prior.mean
     chi2 = gram[0, 0] + (prior.precision * prior.mean**2).sum() - right @ np.linalg.solve(normal, right)
     assert found == pytest.approx(logs + chi2 + np.linalg.slogdet(normal)[1], rel=1e-8)
+
+
+def test_the_slope_of_the_restricted_likelihood_of_several_runs_is_that_of_its_differences() -> None:
+    runs = [made_up(seed) for seed in (3, 4)]
+    data, prior = SegmentData(*map(np.concatenate, zip(*runs, strict=True))), Prior(np.full(P, 0.2), np.full(P, 0.5))
+    at = logarithms_of(DISCREPANCY)
+    with likelihood_of(data, np.arange(P), prior) as likelihood:
+        value, slope = likelihood.value_and_slope(at)
+        steps = 1e-5 * np.eye(len(at))
+        differences = [(likelihood.value(at + h) - likelihood.value(at - h)) / 2e-5 for h in steps]
+    assert value == pytest.approx(restricted_likelihood(data, DISCREPANCY, np.arange(P), prior), rel=1e-12)
+    np.testing.assert_allclose(slope, differences, rtol=1e-5, atol=1e-6)
 
 
 def test_an_open_loop_simulation_errs_by_force_and_noise() -> None:

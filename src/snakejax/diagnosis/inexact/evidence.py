@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from snakejax.estimation.discrepancy.least_squares import Prior, optimum
-from snakejax.estimation.discrepancy.strength import restricted_likelihood
+from snakejax.estimation.discrepancy.restricted_likelihood import restricted_likelihood
 
 from .search import Linear, Search
 

@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from snakejax.core.parallel import ContextThreads, cores
 from snakejax.core.parameter import parameters, with_parameters
 from snakejax.dynamics.model import Model
 from snakejax.estimation.batch import Batch
@@ -24,8 +25,8 @@ from snakejax.estimation.fit_journal import kept_fit
 from snakejax.estimation.linearisation import Variables, domains_of
 from snakejax.estimation.problem import DEPENDENT, Problem
 
-from ..selection.candidates import CandidateSet
-from .force_sensitivity import ForceLinearisation, linearise_in_force
+from ..selection.candidates import WORKERS, CandidateSet
+from .force_sensitivity import ForceLinearisation, MotionSamples, linearise_in_force
 from .gaussian_process import FIRST, Normal, Posterior, Prior, Window, fitted_prior, observable_components, posterior
 from .piecewise_force import SPACING
 
@@ -34,6 +35,8 @@ REACH = np.array([0.05, 0.05, 0.2, 0.1, 0.1, 0.5])
 """How far one step moves a start state: m, rad, m/s, rad/s."""
 MEMORY = 0.1
 """How far one step moves the memory of a tyre [rad]."""
+CHUNK = 8
+"""Windows that one call of the compiled program takes: it serves recordings of any length, on every core."""
 ENOUGH = 1e-3
 """The estimate ends where a step lowers the total by less than this share of it."""
 
@@ -109,16 +112,20 @@ class ForceEstimator(eqx.Module):
 
     def linearise(self, point: ForcePoint) -> ForceLinearisation:
         """Residuals, derivatives and motion at `point`."""
-        at = Variables(
-            self.names,
-            jnp.asarray(point.values),
-            jnp.eye(len(self.names)),
-            jnp.asarray(point.start),
-            self.batch.free_start,
-        )
-        grid = jnp.asarray(self.began[self.owner] + SPACING * self.first)
-        local = jnp.asarray(self.local(point.force))
-        r, J, track = jax.tree.map(np.asarray, linearise_in_force(self.model, at, self.batch, grid, local))
+        grid = self.began[self.owner] + SPACING * self.first
+        every = (self.batch, point.start, self.batch.free_start, grid, self.local(point.force))
+        values, unit = jnp.asarray(point.values), jnp.eye(len(self.names))
+
+        def linearised(numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray, MotionSamples]:
+            padded = numbers[np.minimum(np.arange(CHUNK), len(numbers) - 1)]
+            windows, start, free, *of_force = jax.tree.map(lambda leaf: jnp.asarray(leaf[padded]), every)
+            done = linearise_in_force(self.model, Variables(self.names, values, unit, start, free), windows, *of_force)
+            return jax.tree.map(lambda leaf: np.asarray(leaf)[: len(numbers)], done)
+
+        chunks = [np.arange(k, min(k + CHUNK, len(grid))) for k in range(0, len(grid), CHUNK)]
+        with ContextThreads(min(WORKERS, cores())) as pool:
+            parts = list(pool.map(linearised, chunks))
+        r, J, track = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
         P, S, K = len(self.names), point.start.shape[1], self.knots
         by_parameters, by_start, by_force, by_grip = np.split(J, (P, P + S, P + S + 3 * K), axis=-1)
         return ForceLinearisation(r, by_parameters, by_start, by_force, by_grip, track)

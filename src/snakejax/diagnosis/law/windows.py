@@ -166,32 +166,34 @@ class ForceWindows(NamedTuple):
         if penalty is not None:
             penalty = np.einsum("gii->g", total[:, P:, P:])[:, None, None] / penalty.shape[1] * penalty
         c = self._solved(total, slope, total, penalty)
-        chi2 = self.square.sum() - 2 * (slope * c).sum(-1) + np.einsum("gi,gij,gj->g", c, total, c)
-        left = np.zeros(len(chi2))
-        for k, (one, own) in enumerate(zip(matrix, right, strict=True)):
-            d = self._solved(total - one, slope - own, total, penalty)
-            if self.beside:
-                rest = slope[:, :P] - np.einsum("gij,gj->gi", total[:, :P, P:], d[:, P:])
-                d[:, :P] = self._solved(total[:, :P, :P], rest, total[:, :P, :P])
-            left += self.square[k] - 2 * (own * d).sum(-1) + np.einsum("gi,gij,gj->g", d, one, d)
+        chi2 = self.square.sum() + _quadratic(total, slope, c)
+        d = self._solved(total - matrix, slope - right, total, penalty)
+        if self.beside:
+            rest = slope[:, :P] - (total[:, :P, P:] @ d[..., P:, None])[..., 0]
+            d[..., :P] = self._solved(total[:, :P, :P], rest, total[:, :P, :P])
+        left = self.square.sum() + _quadratic(matrix, right, d).sum(axis=0)
         return Fitted(c[:, P:], c[:, :P], chi2, left)
 
     def _solved(
         self, matrix: np.ndarray, right: np.ndarray, total: np.ndarray, penalty: np.ndarray | None = None
     ) -> np.ndarray:
-        """Parameter steps and amplitudes (G, P + T), with a light ridge and a `penalty` (G, T, T) on the latter."""
-        P = len(self.prior_mean)
-        ridge = 1e-6 * np.einsum("gii->gi", total) + 1e-12
+        """Parameter steps and amplitudes (..., G, P + T), with a light ridge and a `penalty` (G, T, T) on those."""
+        P, size = len(self.prior_mean), right.shape[-1]
+        ridge = 1e-6 * np.diagonal(total, axis1=-2, axis2=-1) + 1e-12
         ridge[:, :P] = self.precision
         full = right.copy()
-        full[:, :P] += self.precision * self.prior_mean
-        A = matrix + np.einsum("gi,ij->gij", ridge, np.eye(ridge.shape[1]))
+        full[..., :P] += self.precision * self.prior_mean
+        A = matrix + ridge[:, :, None] * np.eye(size)
         if penalty is not None:
-            A[:, P:, P:] += penalty
+            A[..., P:, P:] += penalty
         # What moves nothing but by rounding, and has no prior, stays where it is.
-        diagonal = np.einsum("gii->gi", A)
+        diagonal = np.diagonal(A, axis1=-2, axis2=-1)
         moves = diagonal > 0
-        size = np.sqrt(np.where(moves, diagonal, 1.0))
-        A, full = A * (moves[:, :, None] & moves[:, None, :]), full * moves
-        scaled = A / (size[:, :, None] * size[:, None, :]) + 1e-12 * np.eye(A.shape[1])
-        return np.linalg.solve(scaled, (full / size)[..., None])[..., 0] / size
+        scale = moves / np.sqrt(np.where(moves, diagonal, 1.0))
+        scaled = A * scale[..., :, None] * scale[..., None, :] + 1e-12 * np.eye(size)
+        return np.linalg.solve(scaled, (full * scale)[..., None])[..., 0] * scale
+
+
+def _quadratic(matrix: np.ndarray, slope: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """z^T matrix z - 2 slope^T z `at` z (..., n)."""
+    return (at * ((matrix @ at[..., None])[..., 0] - 2 * slope)).sum(axis=-1)

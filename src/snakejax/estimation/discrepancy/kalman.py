@@ -179,7 +179,7 @@ def _information(noise, columns, state, present, gap) -> _Information:
         return (mean + gain[:, None] * error, variance - gain * variance), (innovation, measured * jnp.log(total))
 
     start = (jnp.zeros(rows.shape[1:]), jnp.zeros(3))
-    (mean, variance), (innovations, logs) = jax.lax.scan(sample, start, (rows, present, decay))
+    (mean, variance), (innovations, logs) = jax.lax.scan(jax.checkpoint(sample), start, (rows, present, decay))
     H, Y = innovations[..., : nz + 3], innovations[..., nz + 3 :]
     return _Information(
         jnp.einsum("nci,ncj->ij", H, H),
@@ -243,7 +243,7 @@ def _filter_run(data: SegmentData, noise, restart):
     is_first = (jnp.arange(data.columns.shape[0]) == 0).astype(jnp.float64)
     parts = (of_segments, data.transition, data.shift, data.force, jnp.maximum(restart, is_first), is_first)
     start = (jnp.zeros((size, count)), jnp.eye(size), jnp.zeros(FORCE))
-    return jax.lax.scan(segment, start, parts)[1]
+    return jax.lax.scan(jax.checkpoint(segment), start, parts)[1]
 
 
 @jax.jit

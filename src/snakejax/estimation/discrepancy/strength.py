@@ -1,18 +1,12 @@
-"""How strong noise and random force are: the maximum of the restricted likelihood.
+"""How strong noise and random force are: the maximum of the restricted likelihood, R of `restricted_likelihood`.
 
-Restricted (residual) maximum likelihood (Patterson and Thompson 1971) counts what the free parameters d take up:
-
-    R = L + chi^2 + ln |D^T D + prior precision|        (-2 log likelihood, d integrated out)
-
-with L and the Gram matrix of `kalman`. Nine logarithms are moved: white and wandering noise of position and of heading,
-the time constant of the latter, three strengths of the force and its time constant.
+Nine logarithms are moved: white and wandering noise of position and of heading, the time constant of the latter, three
+strengths of the force and its time constant.
 """
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy import optimize
@@ -20,10 +14,10 @@ from scipy import optimize
 from snakejax.dynamics.model import Model
 from snakejax.recording.run import Run
 
-from ..kept_program import KeptProgram
 from ..multiple_shooting import initial_states
-from .kalman import Discrepancy, SegmentData, filter_runs
+from .kalman import Discrepancy, SegmentData
 from .least_squares import Prior
+from .restricted_likelihood import discrepancy_of, likelihood_of, logarithms_of
 from .segmented_runs import LENGTH
 from .segments import Segments
 
@@ -35,8 +29,6 @@ NOISE_RANGE = (1e-3, 30.0)
 FORCE_RANGE = (1e-4, 10.0)
 """Limits of the force as multiples of the root mean square force that moves the vehicle. The lower one is none for
 every purpose, and below it covariances lose their digits."""
-COLUMNS = 8
-"""The number of columns of a compiled program is a multiple of this."""
 SLOWEST_GAIN = 1e-9
 """The search ends where an iteration lowers R by less than this share."""
 NEAR_LIMIT = 1.5
@@ -121,44 +113,6 @@ def inertial_force(
     return np.stack([mass * (du - r * w), mass * (dw + r * u), inertia * dr], axis=1)
 
 
-def _discrepancy(logarithms: np.ndarray) -> Discrepancy:
-    e = np.exp(logarithms)
-    return Discrepancy(e[[0, 0, 1]], e[[2, 2, 3]], float(e[4]), e[5:8], float(e[8]))
-
-
-def _logarithms(of: Discrepancy) -> np.ndarray:
-    return np.log([of.white[0], of.white[2], of.wander[0], of.wander[2], of.wander_time, *of.force, of.force_time])
-
-
-def _restricted(logarithms, data: SegmentData, precision, mean):
-    e = jnp.exp(logarithms)
-    position, both = jnp.array([0, 0, 1]), jnp.array([2, 2, 3])
-    noise = (e[position], e[both], e[4], e[5:8], e[8])
-    gram, logs, _ = filter_runs(data, noise, jnp.zeros(data.columns.shape[1]))
-    gram, logs = gram.sum(axis=(0, 1)), logs.sum()
-    normal = gram[1:, 1:] + jnp.diag(precision)
-    right = gram[1:, 0] + precision * mean
-    size = jnp.sqrt(jnp.diag(normal))
-    scaled = normal / jnp.outer(size, size)
-    step = jnp.linalg.solve(scaled, right / size) / size
-    chi2 = gram[0, 0] + jnp.sum(precision * mean**2) - right @ step
-    return logs + chi2 + jnp.linalg.slogdet(scaled)[1] + 2 * jnp.sum(jnp.log(size))
-
-
-@KeptProgram
-def _restricted_and_slope(logarithms, data: SegmentData, precision, mean):
-    return jax.value_and_grad(_restricted)(logarithms, data, precision, mean)
-
-
-_restricted_alone = KeptProgram(_restricted)
-
-
-def restricted_likelihood(data: SegmentData, of: Discrepancy, free: np.ndarray, prior: Prior) -> float:
-    """R (-2 log restricted likelihood) with the parameters numbered `free` free within their `prior`."""
-    kept = _kept(data, free)
-    return float(_restricted_alone(jnp.asarray(_logarithms(of)), kept, *_prior_of(prior, free)))
-
-
 def estimate_discrepancy(
     data: SegmentData, start: Discrepancy, free: np.ndarray, prior: Prior, scales: Scales, most: int
 ) -> tuple[Discrepancy, float]:
@@ -182,24 +136,23 @@ def _minimum(
 ) -> tuple[Discrepancy, float]:
     unit = _typical_error(data)
     low, high = (end / unit for end in scales.bounds())
-    kept, prior_ = _kept(data, free), _prior_of(prior, free)
+    with likelihood_of(data, free, prior) as likelihood:
 
-    def value_and_slope(steps):
-        value, slope = _restricted_and_slope(jnp.asarray(steps * unit), kept, *prior_)
-        value, slope = float(value), np.asarray(slope) * unit
-        if not (np.isfinite(value) and np.isfinite(slope).all()):
-            return 1e12, np.zeros_like(slope)
-        return value, slope
+        def value_and_slope(steps):
+            value, slope = likelihood.value_and_slope(steps * unit)
+            if not (np.isfinite(value) and np.isfinite(slope).all()):
+                return 1e12, np.zeros_like(slope)
+            return value, slope * unit
 
-    result = optimize.minimize(
-        value_and_slope,
-        np.clip(_logarithms(start) / unit, low, high),
-        jac=True,
-        method="L-BFGS-B",
-        bounds=list(zip(low, high, strict=True)),
-        options={"maxiter": most, "ftol": SLOWEST_GAIN},
-    )
-    return _discrepancy(result.x * unit), float(result.fun)
+        result = optimize.minimize(
+            value_and_slope,
+            np.clip(logarithms_of(start) / unit, low, high),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=list(zip(low, high, strict=True)),
+            options={"maxiter": most, "ftol": SLOWEST_GAIN},
+        )
+    return discrepancy_of(result.x * unit), float(result.fun)
 
 
 def _typical_error(data: SegmentData) -> np.ndarray:
@@ -211,18 +164,3 @@ def _typical_error(data: SegmentData) -> np.ndarray:
     segments = max(int((data.present.sum(axis=(2, 3)) > 0).sum()), 1)
     count = np.array([x + y, heading, x + y, heading, segments, segments, segments, segments, segments])
     return 1 / np.sqrt(2.0 * count)
-
-
-def _kept(data: SegmentData, free: np.ndarray) -> SegmentData:
-    """The columns of `free`, filled up with zeros, so that one compiled program serves several sets of parameters."""
-    kept = data.keeping(free)
-    missing = [(0, 0)] * 4 + [(0, -len(free) % COLUMNS)]
-    filled = kept._replace(columns=np.pad(kept.columns, missing), shift=np.pad(kept.shift, missing[1:]))
-    return SegmentData(*(jnp.asarray(part) for part in filled))
-
-
-def _prior_of(prior: Prior, free: np.ndarray):
-    """Precision and mean of `free`; a column filled in has precision 1, which adds nothing to R."""
-    missing = (0, -len(free) % COLUMNS)
-    precision = np.pad(prior.precision[free], missing, constant_values=1.0)
-    return jnp.asarray(precision), jnp.asarray(np.pad(prior.mean[free], missing))
