@@ -197,8 +197,10 @@ def _regressions(
         hats = np.maximum(1 - np.abs((track.time[k][:, None] - first) / SPACING - np.arange(K)), 0.0)
         # Least squares onto the knots; one that no sample touches stays at zero.
         onto = np.linalg.solve(hats.T @ hats + 1e-6 * np.eye(K), hats.T)
-        f = np.einsum("kn,tnc->kct", onto, wrench[:, k]).reshape(3 * K, -1)
-        g = np.einsum("kn,tnc->kct", onto, change[:, k]).reshape(2 * K, -1)
+        f, g = (
+            np.tensordot(onto, histories[:, k], (1, 1)).transpose(0, 2, 1).reshape(-1, len(histories))
+            for histories in (wrench, change)
+        )
         H = np.concatenate([window.parameters, window.force @ f + window.grip @ g], axis=1)
         matrix, right, square = grams[run]
         grams[run] = _Gram(matrix + H.T @ H, right + H.T @ window.data, square + float(window.data @ window.data))
@@ -224,6 +226,7 @@ class _CrossValidation:
         self.grams, self.typical, self.P = grams, typical, len(typical[0])
         self.matrix = np.sum([gram.matrix for gram in grams], axis=0)
         self.right = np.sum([gram.right for gram in grams], axis=0)
+        self.others = [(self.matrix - gram.matrix, self.right - gram.right) for gram in grams]
         self.without = [self.left(k, slice(0, 0), 0.0) for k in range(len(grams))]
 
     def solved(self, matrix: np.ndarray, right: np.ndarray, columns: slice, ridge: float) -> np.ndarray:
@@ -240,7 +243,7 @@ class _CrossValidation:
     def left(self, k: int, columns: slice, ridge: float) -> float:
         """chi^2 of run `k` under a regression fitted to the others."""
         gram, pick = self.grams[k], np.r_[0 : self.P, columns]
-        c = self.solved(self.matrix - gram.matrix, self.right - gram.right, columns, ridge)
+        c = self.solved(*self.others[k], columns, ridge)
         return gram.square - 2 * float(gram.right[pick] @ c) + float(c @ gram.matrix[np.ix_(pick, pick)] @ c)
 
     def scored(self, design: Design) -> _Scored:
