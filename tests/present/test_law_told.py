@@ -13,8 +13,8 @@ from jsonschema import Draft202012Validator
 
 from snakejax import TABLE_II, Board, Gait, InputError, Model, Pacejka, Run, Sines, simulate
 from snakejax.diagnosis.explanation import Explanation
-from snakejax.diagnosis.law.grammar import Family
 from snakejax.diagnosis.law.search import ProposedLaw
+from snakejax.diagnosis.law.terms import Family
 from snakejax.diagnosis.residuals.replays import replay_model
 from snakejax.dynamics.law import LawParameter, law
 from snakejax.estimation.uncertainty import Estimate

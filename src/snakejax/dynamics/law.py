@@ -14,22 +14,24 @@ from snakejax.core.formula import SMOOTH_FUNCTIONS, evaluated, names_in, parsed
 from snakejax.core.parameter import Scalar, own_parameters, param
 
 from .contact import Motion, Wheel, Wrench, sine_cosine, slip_angle
-from .ports import Effect, Force, LateralForce
+from .ports import Effect, Force, LateralForce, RollingForce
 from .signals import Joint
 from .vehicle import AbstractVehicle, Wheelset
 
 if TYPE_CHECKING:
     from .model import Model
 
-COMPONENTS = ("X", "Y", "N", "east", "north", "grip")
-"""What a law may set: force along and across the body [N], yaw moment [N m], force along the axes of the world [N], or
-the factor on the lateral force of each wheel [-]."""
+COMPONENTS = ("X", "Y", "N", "east", "north", "grip", "resistance")
+"""What a law may set: force along and across the body [N], yaw moment [N m], force along the axes of the world [N], the
+factor on the lateral force of each wheel [-], or a force on each wheel against its rolling forward [N]."""
+OF_EACH_WHEEL = ("grip", "resistance")
+"""The components that each wheel has for itself: they may depend on `WHEEL_VARIABLES`, and are set alone."""
 
 
 VARIABLES = ("time", "x", "y", "heading", "theta", "u", "w", "r", "speed")
 """The variables of any vehicle, see `Motion`; `speed` is that of the body. Those of its joints come beside."""
 WHEEL_VARIABLES = ("slip_speed", "slip_angle", "rolling_speed", "wheel_x", "wheel_y", "turn_rate", "axle")
-"""The variables of one wheel, on which its grip may depend, see `wheel_variables`."""
+"""The variables of one wheel, on which its grip and its resistance may depend, see `wheel_variables`."""
 
 
 class LawParameter(NamedTuple):
@@ -55,7 +57,7 @@ class Law(Effect):
     def inapplicable_because(self, model: "Model") -> str | None:
         joints = {given.name: Joint(*(np.zeros(()),) * 3) for given in model.board.inputs}
         known = {*VARIABLES, *model.board.variables(joints), *model.board.accelerations(joints), *self.values()}
-        known |= set(WHEEL_VARIABLES if isinstance(self, GripLaw) else ())
+        known |= set(WHEEL_VARIABLES if set(self.formulas) & set(OF_EACH_WHEEL) else ())
         for tree in self.formulas.values():
             for name in names_in(tree):
                 if name not in known:
@@ -78,9 +80,20 @@ class GripLaw(Law, LateralForce):
     """A factor on the lateral force of each wheel."""
 
     def lateral(self, force: Scalar, wheel: Wheel, motion: Motion) -> Scalar:
-        of_wheel = wheel_variables(motion.board, wheel.wheelset, wheel, motion)
-        known = variables_of(motion) | of_wheel | self.values()
-        return force * evaluated(self.formulas["grip"], known, jnp)
+        return force * _of_wheel(self, "grip", wheel, motion)
+
+
+class ResistanceLaw(Law, RollingForce):
+    """A force on each wheel against its rolling forward."""
+
+    def resistance(self, wheel: Wheel, motion: Motion) -> Scalar:
+        return _of_wheel(self, "resistance", wheel, motion) + jnp.zeros_like(wheel.rolling)
+
+
+def _of_wheel(law: Law, component: str, wheel: Wheel, motion: Motion) -> Scalar:
+    """The value of a component of `law` for one wheel."""
+    of_wheel = wheel_variables(motion.board, wheel.wheelset, wheel, motion)
+    return evaluated(law.formulas[component], variables_of(motion) | of_wheel | law.values(), jnp)
 
 
 def variables_of(motion: Motion) -> dict[str, Scalar]:
@@ -92,7 +105,7 @@ def variables_of(motion: Motion) -> dict[str, Scalar]:
 
 
 def wheel_variables(board: AbstractVehicle, wheelset: Wheelset, wheel: Wheel, motion: Motion) -> dict[str, Scalar]:
-    """What the grip of a `wheel` of `board` may depend on beside.
+    """What the grip and the resistance of a `wheel` of `board` may depend on beside.
 
     Its lateral slip speed [m/s], slip angle [rad] and rolling speed [m/s]; where it stands on the floor, `wheel_x` and
     `wheel_y` [m]; the rate [rad/s] at which it turns on the floor, r plus that of its steering; and `axle`, 1 ahead of
@@ -115,7 +128,7 @@ def wheel_variables(board: AbstractVehicle, wheelset: Wheelset, wheel: Wheel, mo
 def formulas_of(expression: str) -> dict[str, ast.expr]:
     """The formulas of an expression such as `east = -k * x; north = -k * y`, by component.
 
-    **Raises:** `InputError` where it is none, sets a component twice, or mixes `grip` with a force.
+    **Raises:** `InputError` where it is none, sets a component twice, or mixes that of each wheel with another.
     """
     formulas: dict[str, ast.expr] = {}
     for part in expression.split(";"):
@@ -125,8 +138,10 @@ def formulas_of(expression: str) -> dict[str, ast.expr]:
             what = f"`{part.strip()}` sets no component of a law, or sets one again"
             raise InputError(what, "expression", f"write `COMPONENT = formula`, of {', '.join(COMPONENTS)}")
         formulas[name] = parsed(formula)
-    if "grip" in formulas and len(formulas) > 1:
-        raise InputError("A law cannot set both the grip and a force", "expression", "write two laws")
+    alone = set(formulas) & set(OF_EACH_WHEEL)
+    if alone and len(formulas) > 1:
+        what = f"A law that sets the {min(alone)} of each wheel cannot set anything else"
+        raise InputError(what, "expression", "write two laws")
     return formulas
 
 
@@ -142,7 +157,8 @@ def law_class(expression: str, given: tuple[LawParameter, ...], description: str
     for one in given:
         if one.name not in named:
             raise InputError(f"`{expression}` has no parameter `{one.name}`", "expression", "leave it out")
-    bases: tuple[type, ...] = (GripLaw if "grip" in formulas else ForceLaw,)
+    kinds: dict[str, type] = {"grip": GripLaw, "resistance": ResistanceLaw}
+    bases = tuple(kinds[component] for component in formulas if component in kinds) or (ForceLaw,)
     fields: dict[str, Any] = {p.name: param(p.unit, low=p.low, high=p.high, default=p.default) for p in given}
     own = {
         "__annotations__": {p.name: Scalar for p in given},

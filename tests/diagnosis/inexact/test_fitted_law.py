@@ -12,8 +12,8 @@ from snakejax.diagnosis.inexact.fitted_law import FittedLaw, Proposal
 from snakejax.diagnosis.inexact.left_out import LeftOut
 from snakejax.diagnosis.inexact.search import Linear
 from snakejax.diagnosis.inexact.subsets import Subsets
-from snakejax.diagnosis.law.grammar import Family, ShapeParameter, Term
 from snakejax.diagnosis.law.search import ProposedLaw
+from snakejax.diagnosis.law.terms import Family, ShapeParameter, Term
 from snakejax.diagnosis.selection.criteria import CRITERIA
 from snakejax.dynamics.law import LawParameter
 from snakejax.estimation.discrepancy.least_squares import Prior

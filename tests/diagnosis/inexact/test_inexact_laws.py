@@ -14,8 +14,8 @@ from snakejax.diagnosis.inexact import laws
 from snakejax.diagnosis.inexact.candidate_model import CandidateModel
 from snakejax.diagnosis.inexact.fitted_law import FittedLaw, Proposal, _with_wide_priors
 from snakejax.diagnosis.inexact.subsets import Subsets, choose
-from snakejax.diagnosis.law.grammar import Family, Term
 from snakejax.diagnosis.law.search import ProposedLaw
+from snakejax.diagnosis.law.terms import Family, Term
 from snakejax.diagnosis.selection.criteria import CRITERIA
 from snakejax.dynamics.law import LawParameter
 from snakejax.estimation.discrepancy.kalman import Discrepancy

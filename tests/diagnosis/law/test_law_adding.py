@@ -10,8 +10,8 @@ import pytest
 from snakejax.core.progress import no_progress
 from snakejax.diagnosis.latent_force.missing_force import LatentForce
 from snakejax.diagnosis.law import adding, exact_laws, fitting
-from snakejax.diagnosis.law.grammar import Family
 from snakejax.diagnosis.law.search import ProposedLaw, much_better
+from snakejax.diagnosis.law.terms import Family
 from snakejax.diagnosis.selection.criteria import CRITERIA
 from snakejax.dynamics.law import LawParameter
 

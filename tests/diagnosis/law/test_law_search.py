@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from snakejax.core.formula import evaluated
-from snakejax.diagnosis.law.grammar import Family, Range, Term, families
+from snakejax.diagnosis.law.grammar import families
 from snakejax.diagnosis.law.knots import KnotFit, hats_at
 from snakejax.diagnosis.law.search import finer, search, smooth_laws, wider
 from snakejax.diagnosis.law.smooth_forms import smooth_of_one, smooth_of_two
+from snakejax.diagnosis.law.terms import Family, Range, Term
 from snakejax.diagnosis.law.units import power, product, unit_text
 from snakejax.diagnosis.law.windows import ForceWindows
 from snakejax.dynamics.law import formulas_of, law_class
@@ -42,7 +43,19 @@ def _of_wheels(own: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Variables (2, W, n) of a wheel ahead of the middle and of one behind it, 1 m apart, steered against it."""
     axle = np.stack([np.full_like(own["x"], place) for place in (1.0, -1.0)])
     place = {f"wheel_{v}": own[v] + 0.5 * axle * of(own["theta"]) for v, of in (("x", np.cos), ("y", np.sin))}
-    return place | {"turn_rate": own["r"] + axle * own["steering_rate"], "axle": axle}
+    angle = axle * own["steering_angle"]
+    rolling_speed = own["u"] * np.cos(angle) + (own["w"] + 0.5 * axle * own["r"]) * np.sin(angle)
+    turn_rate = own["r"] + axle * own["steering_rate"]
+    return place | {"turn_rate": turn_rate, "axle": axle, "rolling_speed": rolling_speed}
+
+
+def _rolling(own: dict[str, np.ndarray]) -> np.ndarray:
+    """The wrench (2, 3, W, n) of a unit force along each of these wheels."""
+    sides = []
+    for axle in (1.0, -1.0):
+        X, Y = np.cos(axle * own["steering_angle"]), np.sin(axle * own["steering_angle"])
+        sides.append([X, Y, 0.5 * axle * Y])
+    return np.array(sides)
 
 
 def windows_of(made: Family, seed: int = 1, noise: float = 1.0) -> ForceWindows:
@@ -56,9 +69,9 @@ def windows_of(made: Family, seed: int = 1, noise: float = 1.0) -> ForceWindows:
     owner, size = np.repeat(np.arange(RUNS), OF_RUN), np.zeros(PARAMETERS)
     square = np.zeros(RUNS)
     normal_equations = (zeros, zeros[:, 0], square, owner, size, size)
-    wheel = ("wheel_x", "wheel_y", "turn_rate", "axle")
+    wheel = ("wheel_x", "wheel_y", "turn_rate", "axle", "rolling_speed")
     variables |= _of_wheels(own)
-    bare = ForceWindows(variables, wheel, onto_knots, *normal_equations, own["theta"], W * 150)
+    bare = ForceWindows(variables, wheel, _rolling(own), onto_knots, *normal_equations, own["theta"], W * 150)
     history = bare.histories(made, {})[0].sum(axis=0)
     H = rng.normal(size=(W, 150, PARAMETERS + 5 * KNOTS))
     data = np.einsum("wij,wj->wi", H[:, :, PARAMETERS:], history) * 30 + noise * rng.normal(size=(W, 150))
@@ -92,6 +105,8 @@ _AWAY, _TO = "sqrt((x - 0.2) ** 2 + (y + 0.3) ** 2 + 0.0016)", (("east", "x - 0.
 _PULL = f"({_AWAY} - 0.7 + sqrt(({_AWAY} - 0.7) ** 2 + 0.0016)) / {_AWAY}"
 _LENGTH = "sqrt((x - x0) ** 2 + (y - y0) ** 2 + s ** 2)"
 _TAUT = f"({_LENGTH} - d + sqrt(({_LENGTH} - d) ** 2 + s ** 2)) / {_LENGTH}"
+_BEYOND = "steering_angle - 0.2"
+_ROLLING = "rolling_speed / sqrt(rolling_speed ** 2 + 2.5e-05)"
 _SPEED = "sqrt(u ** 2 + w ** 2 + 2.5e-05)"
 _DISTANCE = "sqrt((x - 0.2) ** 2 + (y + 0.3) ** 2)"
 CASES = {
@@ -176,6 +191,20 @@ CASES = {
         (
             "; ".join(f"{side} = -k * ({v0}) * {_TAUT}" for side, v0 in (("east", "x - x0"), ("north", "y - y0"))),
             {"k": (0.3, "N/m"), "x0": (0.2, "m"), "y0": (-0.3, "m"), "d": (0.7, "m"), "s": (0.04, "m")},
+        ),
+    ),
+    "fender that rubs where the wheels are steered": (
+        law_of(("resistance", f"0.4 * {_ROLLING} * ({_BEYOND} + sqrt(({_BEYOND}) ** 2 + 0.0016))")),
+        (
+            f"resistance = a * {_ROLLING} * (steering_angle - v0 + sqrt((steering_angle - v0) ** 2 + s ** 2))",
+            {"a": (0.4, "N/rad"), "v0": (0.2, "rad"), "s": (0.04, "rad")},
+        ),
+    ),
+    "carpet under a wheel": (
+        law_of(("resistance", f"0.5 * {_ROLLING} * exp(-((wheel_x - 0.3) ** 2 + (wheel_y - 0.1) ** 2) / 0.4 ** 2)")),
+        (
+            f"resistance = a * {_ROLLING} * exp(-((wheel_x - x0) ** 2 + (wheel_y - y0) ** 2) / s ** 2)",
+            {"a": (0.5, "N"), "x0": (0.3, "m"), "y0": (0.1, "m"), "s": (0.4, "m")},
         ),
     ),
     "load that an eccentric rotor moves": (
@@ -289,12 +318,12 @@ NAMES = (
 def test_each_form_of_the_grammar_is_an_expression_whose_value_is_that_of_its_terms() -> None:
     rng = np.random.default_rng(3)
     seen = {name: Range(-1.0, 1.2) for name in NAMES} | {"speed": Range(0.0, 1.2)}
-    wheel = ("slip_speed", "wheel_x", "wheel_y", "turn_rate", "axle")
+    wheel = ("slip_speed", "wheel_x", "wheel_y", "turn_rate", "axle", "rolling_speed")
     smooth = [*smooth_of_one(seen, wheel), *smooth_of_two(seen, wheel, "X", ("u",))]
     assert {family.name for family in smooth} == {"smooth function", "smooth function of two", "series"}
     for family in (*families(seen, wheel), *smooth):
         known = {name: rng.uniform(0.2, 1.0) for name in seen} | {"theta": 0.1}
-        known |= {part.name: part.starts[0] for part in family.shape} | {"axle": -1.0}
+        known |= {part.name: part.starts[0] for part in family.shape} | {"axle": -1.0, "rolling_speed": 0.3}
         known |= {term.amplitude: rng.uniform(0.5, 1.0) for term in family.terms}
         for component, tree in formulas_of(family.expression()).items():
             parts = [

@@ -25,6 +25,10 @@ LAWS = {
         "grip = 1 - a * axle * cos(rotor_angle) - b * (wheel_x - wheel_y) - c * turn_rate * rolling_speed * slip_angle",
         {"a": ("-", 0.2), "b": ("1/m", 0.5), "c": ("s^2/(m rad^2)", 0.4)},
     ),
+    "resistance": (
+        "resistance = (a + b * abs(steering_angle) + c * wheel_x) * tanh(rolling_speed / 0.01)",
+        {"a": ("N", 0.1), "b": ("N/rad", 0.2), "c": ("N/m", 0.1)},
+    ),
     "mixed": ("X = -a * u * speed; north = b; N = c * sin(heading)", {n: ("N", 0.1) for n in "abc"}),
 }
 

@@ -7,9 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from snakejax.core.parameter import with_parameters
-from snakejax.dynamics.contact import Motion
+from snakejax.dynamics.contact import Motion, Wheel, Wrench
 from snakejax.dynamics.law import WHEEL_VARIABLES, wheel_variables
 from snakejax.dynamics.model import Model
+from snakejax.dynamics.vehicle import AbstractVehicle, Wheelset
 from snakejax.estimation.batch import Batch
 from snakejax.estimation.kept_program import KeptProgram
 from snakejax.estimation.linearisation import Variables, domains_of, retract
@@ -38,6 +39,8 @@ class MotionSamples(NamedTuple):
     """Those of its joints, see `AbstractVehicle.accelerations`."""
     wheels: dict[str, tuple[np.ndarray, np.ndarray]]
     """Variables of a wheel, see `wheel_variables`: the mean of those ahead of the middle, and of those behind it."""
+    rolling: tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]
+    """The wrench [-, -, m] of a unit force forward along each wheel: the sum of those ahead, and of those behind."""
 
 
 class ForceLinearisation(NamedTuple):
@@ -92,12 +95,24 @@ def _track(model: Model, gait, path) -> MotionSamples:
 def motion_samples(model: Model, motion: Motion) -> MotionSamples:
     """The samples of a `motion` whose numbers have one value a sample."""
     board = model.board
-    pairs = zip(motion.wheels, board.wheelsets, strict=True)
-    every = [(wheelset.place > 0, wheel_variables(board, wheelset, wheel, motion)) for wheel, wheelset in pairs]
-    sides = []
+    pairs = list(zip(motion.wheels, board.wheelsets, strict=True))
+    sides, rolling = [], []
     for ahead in (True, False):
-        on_side = [own for place, own in every if place == ahead] or [own for _, own in every]
-        sides.append({name: sum(own[name] for own in on_side) / len(on_side) for name in WHEEL_VARIABLES})
+        on_side = [pair for pair in pairs if (pair[1].place > 0) == ahead]
+        every = [wheel_variables(board, wheelset, wheel, motion) for wheel, wheelset in on_side or pairs]
+        sides.append({name: sum(own[name] for own in every) / len(every) for name in WHEEL_VARIABLES})
+        none = (jnp.zeros_like(motion.u),) * 3
+        wrenches = [none, *(_forward(board, wheelset, wheel, motion) for wheel, wheelset in on_side)]
+        rolling.append(tuple(sum(parts) for parts in zip(*wrenches, strict=True)))
     place = (motion.time, motion.x, motion.y, motion.theta, motion.heading, motion.u, motion.w, motion.r)
     of_joints = (board.variables(motion.inputs), board.accelerations(motion.inputs))
-    return MotionSamples(*place, *of_joints, {name: (sides[0][name], sides[1][name]) for name in WHEEL_VARIABLES})
+    wheels = {name: (sides[0][name], sides[1][name]) for name in WHEEL_VARIABLES}
+    return MotionSamples(*place, *of_joints, wheels, (rolling[0], rolling[1]))
+
+
+def _forward(board: AbstractVehicle, wheelset: Wheelset, wheel: Wheel, motion: Motion) -> Wrench:
+    """The wrench of a unit force forward along a `wheel`."""
+    at = board.placement(wheelset, {name: joint.angle for name, joint in motion.inputs.items()})
+    sine, cosine = jnp.sin(at.angle), jnp.cos(at.angle)
+    X, Y = cosine * wheel.cosine - sine * wheel.sine, sine * wheel.cosine + cosine * wheel.sine
+    return X, Y, at.x * Y - at.y * X

@@ -8,10 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from snakejax.core.parallel import ContextThreads
-
-from ..selection.candidates import WORKERS
-from .grammar import Family
+from .terms import Family
 from .windows import ForceWindows
 
 ROUNDS = 12
@@ -62,9 +59,7 @@ def form_at(windows: ForceWindows, family: Family, grid: np.ndarray, given: Sequ
 
 def on_grids(windows: ForceWindows, forms: Sequence[Family], given: Sequence[np.ndarray]) -> list[Trial]:
     """Of each form the best of the starts of its shape."""
-    with ContextThreads(WORKERS) as pool:
-        trials = pool.map(lambda family: on_grid(windows, family, given), forms)
-        return [best for best in trials if best is not None]
+    return [best for family in forms if (best := on_grid(windows, family, given)) is not None]
 
 
 def on_grid(windows: ForceWindows, family: Family, given: Sequence[np.ndarray]) -> Trial | None:

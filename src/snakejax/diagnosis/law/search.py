@@ -12,9 +12,10 @@ from snakejax.core.formula import names_in, parsed
 from snakejax.dynamics.law import LawParameter
 from snakejax.estimation.goodness_of_fit import largest_noise_misfit
 
-from .grammar import Family, families
+from .grammar import families
 from .regression import FEWEST_CHI2, PENALTIES, Trial, form_at, named, on_grids, pruned, refined
 from .smooth_forms import smooth_of_one, smooth_of_two
+from .terms import Family
 from .units import unit_text
 from .windows import ForceWindows
 

@@ -15,10 +15,12 @@ from itertools import combinations
 
 import numpy as np
 
-from .grammar import (
+from .functions import wave_number
+from .terms import (
     ACTIONS,
     EAST,
     NORTH,
+    OF_WHEEL,
     PUSH_SUFFIX,
     WORLD_VARIABLES,
     Action,
@@ -27,7 +29,6 @@ from .grammar import (
     ShapeParameter,
     Term,
     acting,
-    wave_number,
 )
 from .units import is_sum
 
@@ -75,7 +76,7 @@ def smooth_of_two(
 def _actions(variable: str, wheel: Sequence[str]) -> tuple[Action, ...]:
     """What a function of a variable may act on."""
     if variable in wheel:
-        return tuple(action for action in ACTIONS if action.name == "grip")
+        return tuple(action for action in ACTIONS if action.name in OF_WHEEL)
     return (*ACTIONS, EAST, NORTH) if variable in WORLD_VARIABLES else ACTIONS
 
 

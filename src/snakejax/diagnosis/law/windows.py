@@ -6,33 +6,38 @@ from typing import NamedTuple
 import numpy as np
 
 from snakejax.core.formula import evaluated, parsed
-from snakejax.dynamics.law import WHEEL_VARIABLES
+from snakejax.dynamics.law import OF_EACH_WHEEL, WHEEL_VARIABLES
 
 from ..latent_force.estimate import ForceEstimator, ForceSolution
 from ..latent_force.force_sensitivity import MotionSamples
 from ..latent_force.piecewise_force import SPACING
-from .grammar import Family, Range
 from .knots import KnotFit, KnotMeans, hats_at
+from .terms import Family, Range
 
-OF_WHEEL = tuple(name for name in WHEEL_VARIABLES if name != "rolling_speed")
-"""The variables of a wheel in a law: its rolling speed is nearly that of the body."""
+NOT_ALONE = ("axle", "rolling_speed")
+"""Variables of a wheel of which no form is a function: one has two values, the other is nearly the speed of the
+body."""
 FINEST = 0.02
 """Samples nearer to each other [s] are left out: the knots of the force are five times as far apart."""
 
 
 def variables_of(
     track: MotionSamples, arranged: Callable[[np.ndarray], np.ndarray]
-) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
-    """The variables (2, W, n) of a law for the wheels ahead of the middle and behind it, and the names of those of a
-    wheel; `arranged` puts the samples of one into windows (W, n). Accelerations of joints are among them."""
+) -> tuple[dict[str, np.ndarray], tuple[str, ...], np.ndarray]:
+    """What a law needs of a motion, each of the wheels ahead of the middle and of those behind it.
+
+    The variables (2, W, n), among them accelerations of joints, and the names of those of a wheel; the wrench (2, 3, W,
+    n) of a unit force along the wheels. `arranged` puts the samples of one into windows (W, n).
+    """
     own = {name: getattr(track, name) for name in ("time", "x", "y", "heading", "theta", "u", "w", "r")}
     own |= {"speed": np.hypot(track.u, track.w), **track.inputs, **track.accelerations}
     variables = {name: np.stack([arranged(np.asarray(values))] * 2) for name, values in own.items()}
     if np.allclose(own["theta"], own["heading"], rtol=0, atol=1e-6):
         variables.pop("theta")
-    for name in OF_WHEEL:
+    for name in WHEEL_VARIABLES:
         variables[name] = np.stack([arranged(np.asarray(side)) for side in track.wheels[name]])
-    return variables, OF_WHEEL
+    rolling = np.array([[arranged(np.asarray(part)) for part in side] for side in track.rolling])
+    return variables, WHEEL_VARIABLES, rolling
 
 
 class Fitted(NamedTuple):
@@ -46,14 +51,18 @@ class Fitted(NamedTuple):
 
 
 class ForceWindows(NamedTuple):
-    """W windows at n samples with K knots: `variables` (2, W, n) for the wheels ahead of the middle and behind it;
-    `onto_knots`: the knots of a history (G, W, n); per window the normal equations `matrix` (W, P + 5K, P + 5K),
-    `right` of parameters, force knots and grip knots; `square` (R,); `owner` (W,): the run; `prior_mean` and
-    `precision` (P,) of the parameters; `theta` (W, n). `beside`: the parameters beside a law are those of all runs, and
-    only the law is fitted anew where a run is left out."""
+    """W windows at n samples with K knots.
+
+    `variables` (2, W, n) for the wheels ahead of the middle and behind it, the names of those of a `wheel`, and the
+    wrench (2, 3, W, n) of a unit force along them, `rolling`; `onto_knots`: the knots of a history (G, W, n); per
+    window the normal equations `matrix` (W, P + 5K, P + 5K), `right` of parameters, force knots and grip knots;
+    `square` (R,); `owner` (W,): the run; `prior_mean` and `precision` (P,) of the parameters; `theta` (W, n). `beside`:
+    the parameters beside a law are those of all runs, and only the law is fitted anew where a run is left out.
+    """
 
     variables: dict[str, np.ndarray]
     wheel: tuple[str, ...]
+    rolling: np.ndarray
     onto_knots: KnotFit | KnotMeans
     matrix: np.ndarray
     right: np.ndarray
@@ -79,7 +88,7 @@ class ForceWindows(NamedTuple):
             matrix.append(H.T @ H)
             right.append(H.T @ window.data)
             square[estimator.owner[k]] += float(window.data @ window.data)
-        variables, wheel = variables_of(track, lambda values: values[:, pick])
+        of_motion = variables_of(track, lambda values: values[:, pick])
         prior_mean, precision = estimator.typical(solution.point.values)
         count = int((np.asarray(estimator.batch.weight) > 0).sum() - np.asarray(estimator.batch.free_start).sum())
         whole = (
@@ -89,12 +98,12 @@ class ForceWindows(NamedTuple):
             square,
             np.asarray(estimator.owner),
         )
-        return ForceWindows(variables, wheel, *whole, prior_mean, precision, track.theta[:, pick], count)
+        return ForceWindows(*of_motion, *whole, prior_mean, precision, track.theta[:, pick], count)
 
     def ranges(self) -> dict[str, Range]:
         """What was seen of each variable that varies, and of the rate at which each joint turns in the world."""
         r = self.variables["r"]
-        own = {name: values for name, values in self.variables.items() if name != "axle"}
+        own = {name: values for name, values in self.variables.items() if name not in NOT_ALONE}
         joints = {name: rate for name, rate in own.items() if name.endswith("_rate") and name not in self.wheel}
         histories_of = own | {f"({name} + r)": rate + r for name, rate in joints.items()}
         ends = {name: Range(*np.percentile(values, [2, 98])) for name, values in histories_of.items()}
@@ -116,20 +125,22 @@ class ForceWindows(NamedTuple):
         """The knots (G, W, 5K) of what `formulas` set, by component, with `count` = G values of those in `wide`."""
         (W, n), K = self.theta.shape, self.onto_knots.knots
         c, s = np.cos(self.theta), np.sin(self.theta)
-        knots, wrench = np.zeros((count, W, 5 * K)), {}
+        knots, wrench, on_wheels = np.zeros((count, W, 5 * K)), {}, [0.0, 0.0, 0.0]
         for component, formula in formulas:
             tree = parsed(formula or "1")
-            for side in (0, 1) if component == "grip" else (0,):
+            for side in (0, 1) if component in OF_EACH_WHEEL else (0,):
                 known = {name: values[side] for name, values in self.variables.items()} | wide
                 value = np.broadcast_to(evaluated(tree, known, np), (count, W, n))
                 if component == "grip":
                     knots[:, :, 3 * K + side :: 2] = self.onto_knots(value)
+                elif component == "resistance":
+                    on_wheels = [total - value * of for total, of in zip(on_wheels, self.rolling[side], strict=True)]
                 else:
                     wrench[component] = value
         east, north = wrench.get("east", 0.0), wrench.get("north", 0.0)
         along = (east * c + north * s, north * c - east * s, 0.0) if {"east", "north"} & set(wrench) else (0.0,) * 3
         for k, name in enumerate(("X", "Y", "N")):
-            total = along[k] + wrench.get(name, 0.0)
+            total = along[k] + wrench.get(name, 0.0) + on_wheels[k]
             if isinstance(total, np.ndarray):
                 knots[:, :, k : 3 * K : 3] = self.onto_knots(total)
         return knots

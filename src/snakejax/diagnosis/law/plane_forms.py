@@ -1,0 +1,76 @@
+"""Forms of law of the place: what stands or lies on the floor, slopes of it, and what holds the vehicle by a line."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from .terms import ACTIONS, DRY_FRICTION, EAST, NORTH, OF_WHEEL, Family, Range, ShapeParameter, Term, term_of
+from .units import Unit
+
+
+def in_the_plane(ranges: dict[str, Range]) -> Iterator[Family]:
+    """Laws of the place."""
+    metre: Unit = {"m": 1}
+    size = max(ranges["x"].width, ranges["y"].width)
+    pull = Term("k", {"N": 1, "m": -1}, (("east", "-x"), ("north", "-y")))
+    constant = (term_of(EAST, "a", "", {}), term_of(NORTH, "b", "", {}))
+    # Without a constant, its point would be on an axis of the world, which lies where the cameras have it.
+    yield Family("spring", "world", ("x", "y"), (pull, *constant), whole=True)
+    planes = [
+        term_of(side, letter, v, metre)
+        for side, letters in ((EAST, "cd"), (NORTH, "fg"))
+        for letter, v in zip(letters, "xy", strict=True)
+    ]
+    yield Family("plane", "world", ("x", "y"), (*constant, *planes))
+    middles = [
+        ShapeParameter(
+            f"{v}0",
+            metre,
+            tuple(np.linspace(ranges[v].low, ranges[v].high, 6)),
+            ranges[v].low - size,
+            ranges[v].high + size,
+        )
+        for v in "xy"
+    ]
+    s = ShapeParameter("s", metre, (0.15 * size, 0.4 * size), 0.01 * size, 5 * size)
+    q = ShapeParameter("q", {"rad": 1}, tuple(np.pi * np.arange(8) / 8))
+    d = ShapeParameter("d", metre, tuple(size * np.linspace(-0.4, 0.4, 5)), -3 * size, 3 * size)
+    bump = "exp(-((x - x0) ** 2 + (y - y0) ** 2) / s ** 2)"
+    slope = (("east", f"(x - x0) * {bump}"), ("north", f"(y - y0) * {bump}"))
+    yield Family("hill", "world", ("x", "y"), (Term("a", {"N": 1, "m": -1}, slope),), (*middles, s))
+    # Without a slack length it is a spring, and without a corner nobody can follow its slope.
+    away, corner = "sqrt((x - x0) ** 2 + (y - y0) ** 2 + s ** 2)", s._replace(starts=(0.05 * size,), low=0.002 * size)
+    slack = ShapeParameter("d", metre, (0.2 * size, 0.5 * size, 0.8 * size), 0.0, 5 * size)
+    taut = f"({away} - d + sqrt(({away} - d) ** 2 + s ** 2)) / {away}"
+    pull = (("east", f"-(x - x0) * {taut}"), ("north", f"-(y - y0) * {taut}"))
+    yield Family("tether", "world", ("x", "y"), (Term("k", {"N": 1, "m": -1}, pull),), (*middles, slack, corner))
+    yield _tied("theta" if "theta" in ranges else "heading", middles, slack, corner, size)
+    distance = tuple((side, f"{against} * sqrt((x - x0) ** 2 + (y - y0) ** 2)") for side, against in DRY_FRICTION)
+    yield Family("cable", "friction", ("x", "y"), (Term("a", {"N": 1, "m": -1}, distance),), tuple(middles))
+    of_wheels = [
+        (action, ("wheel_x", "wheel_y")) for action in ACTIONS if action.name in OF_WHEEL and "wheel_x" in ranges
+    ]
+    for action, place in [*((action, ("x", "y")) for action in ACTIONS), *of_wheels]:
+        x, y = place
+        bump = f"exp(-(({x} - x0) ** 2 + ({y} - y0) ** 2) / s ** 2)"
+        edge = f"(0.5 + 0.5 * tanh(({x} * cos(q) + {y} * sin(q) - d) / s))"
+        plane = tuple(term_of(action, a, v, metre) for a, v in (("a", x), ("b", y)))
+        yield Family("plane", action.name, place, plane)
+        yield Family("bump in the plane", action.name, place, (term_of(action, "a", bump, {}),), (*middles, s))
+        yield Family("threshold in the plane", action.name, place, (term_of(action, "a", edge, {}),), (q, d, s))
+
+
+def _tied(
+    angle: str, middles: Sequence[ShapeParameter], slack: ShapeParameter, corner: ShapeParameter, size: float
+) -> Family:
+    """A tether from the point (x0, y0), h above or below, to the point p ahead of the centre of the body."""
+    metre: Unit = {"m": 1}
+    p = ShapeParameter("p", metre, (0.0,), -size, size)
+    h = ShapeParameter("h", metre, (0.25 * size,), 0.0, 5 * size)
+    x, y = f"(x + p * cos({angle}) - x0)", f"(y + p * sin({angle}) - y0)"
+    away = f"sqrt({x} ** 2 + {y} ** 2 + h ** 2)"
+    taut = f"({away} - d + sqrt(({away} - d) ** 2 + s ** 2)) / {away}"
+    turn = f"p * ({x} * sin({angle}) - {y} * cos({angle}))"
+    pull = tuple((side, f"{part} * {taut}") for side, part in (("east", f"-{x}"), ("north", f"-{y}"), ("N", turn)))
+    term = Term("k", {"N": 1, "m": -1}, pull)
+    return Family("tether at a point", "world", ("x", "y"), (term,), (*middles, slack, corner, p, h))

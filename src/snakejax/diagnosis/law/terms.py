@@ -1,0 +1,133 @@
+"""The vocabulary of laws: what may act, terms with units, and forms that are sums of terms."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from snakejax.dynamics.contact import STICKING_SPEED
+
+from .units import Unit, power, product
+
+NEWTON: Unit = {"N": 1}
+NEWTON_METRE: Unit = {"N": 1, "m": 1}
+DAMPING: Unit = {"N": 1, "s": 1, "m": -1}
+YAW_DAMPING: Unit = {"N": 1, "m": 1, "s": 1}
+
+DRY_FRICTION = tuple(
+    (side, f"-{v} / sqrt(u ** 2 + w ** 2 + {STICKING_SPEED**2})") for side, v in (("X", "u"), ("Y", "w"))
+)
+
+
+class Action(NamedTuple):
+    """What a term acts on: the multiplier of the function for each component, and the unit of the product."""
+
+    name: str
+    components: tuple[tuple[str, str], ...]
+    unit: Unit
+
+
+ACTIONS = (
+    Action("X", (("X", ""),), NEWTON),
+    Action("Y", (("Y", ""),), NEWTON),
+    Action("N", (("N", ""),), NEWTON_METRE),
+    Action("drag", (("X", "-u"), ("Y", "-w")), DAMPING),
+    Action("friction", DRY_FRICTION, NEWTON),
+    Action("across", (("X", "-w"), ("Y", "u")), DAMPING),
+    Action("yaw_drag", (("N", "-r"),), YAW_DAMPING),
+    Action("grip", (("grip", "-"),), {}),
+    Action("rolling", (("resistance", f"rolling_speed / sqrt(rolling_speed ** 2 + {STICKING_SPEED**2})"),), NEWTON),
+)
+OF_WHEEL = ("grip", "rolling")
+"""Those actions that each wheel has for itself, which may depend on its own variables."""
+LOAD = Action("load", (("grip", "-axle"),), {})
+"""Load goes from one axle to the other: the grip rises behind the middle by as much as it falls ahead of it."""
+PUSH_SUFFIX = "_acceleration"
+"""A joint pushes the body by its acceleration: this times a function of its angle or rate is an action on N."""
+EAST, NORTH = Action("east", (("east", ""),), NEWTON), Action("north", (("north", ""),), NEWTON)
+WORLD_VARIABLES = ("x", "y", "heading", "theta", "time")
+"""The variables on which a force along the axes of the world may depend."""
+
+
+class ShapeParameter(NamedTuple):
+    """A parameter inside a function: `starts` of its search, its bounds and its unit."""
+
+    name: str
+    unit: Unit
+    starts: tuple[float, ...]
+    low: float = -np.inf
+    high: float = np.inf
+
+
+class Term(NamedTuple):
+    """`amplitude` [unit] times a formula for each component."""
+
+    amplitude: str
+    unit: Unit
+    formulas: tuple[tuple[str, str], ...]
+
+
+class Family(NamedTuple):
+    """A form of law: its `terms` are added; `shape` are the parameters inside them. `name` and `variables` tell it.
+
+    `whole`: without one of its terms it is another form, or depends on where the axes of the cameras are. `together`:
+    the formula of all terms for each component, where that is not their sum written out. `curvature` (T, T): the
+    quadratic form of the amplitudes that says how curved the function is.
+    """
+
+    name: str
+    action: str
+    variables: tuple[str, ...]
+    terms: tuple[Term, ...]
+    shape: tuple[ShapeParameter, ...] = ()
+    whole: bool = False
+    together: tuple[tuple[str, str], ...] = ()
+    curvature: np.ndarray | None = None
+
+    @property
+    def size(self) -> int:
+        """How many parameters it has."""
+        return len(self.terms) + len(self.shape)
+
+    def expression(self) -> str:
+        """`east = a * x; grip = 1 - g * x`."""
+        sides: dict[str, str] = {}
+        parts = [("", self.together)] if self.together else [(f"{t.amplitude} * ", t.formulas) for t in self.terms]
+        for amplitude, formulas in parts:
+            for component, formula in formulas:
+                negative = formula.startswith("-")
+                text = f"{amplitude}{formula.removeprefix('-')}".removesuffix(" * ").replace(" * 1 / ", " / ")
+                before = sides.get(component, "1" if component == "grip" else "")
+                sides[component] = (
+                    f"{before} {'-' if negative else '+'} {text}" if before else f"{'-' * negative}{text}"
+                )
+        return "; ".join(f"{component} = {text}" for component, text in sides.items())
+
+
+class Range(NamedTuple):
+    """What was seen of a variable: its 2nd and 98th percentile."""
+
+    low: float
+    high: float
+
+    @property
+    def width(self) -> float:
+        return max(self.high - self.low, 1e-9)
+
+    @property
+    def largest(self) -> float:
+        return max(abs(self.low), abs(self.high), 1e-9)
+
+
+def acting(action: Action, formula: str) -> tuple[tuple[str, str], ...]:
+    """For each component of an `action`, what this multiplies a `formula` by, times it."""
+    texts = []
+    for component, multiplier in action.components:
+        bare = multiplier.removeprefix("-")
+        joined = " * ".join(part for part in (bare, formula) if part)
+        texts.append((component, "-" * multiplier.startswith("-") + joined))
+    return tuple(texts)
+
+
+def term_of(action: Action, amplitude: str, formula: str, unit: Unit) -> Term:
+    """An amplitude so that it times `formula`, which has `unit`, acts."""
+    return Term(amplitude, product(action.unit, power(unit, -1)), acting(action, formula))
