@@ -106,7 +106,8 @@ _PULL = f"({_AWAY} - 0.7 + sqrt(({_AWAY} - 0.7) ** 2 + 0.0016)) / {_AWAY}"
 _LENGTH = "sqrt((x - x0) ** 2 + (y - y0) ** 2 + s ** 2)"
 _TAUT = f"({_LENGTH} - d + sqrt(({_LENGTH} - d) ** 2 + s ** 2)) / {_LENGTH}"
 _BEYOND = "steering_angle - 0.2"
-_ROLLING = "rolling_speed / sqrt(rolling_speed ** 2 + 2.5e-05)"
+_ROLLING = "rolling_speed / sqrt(rolling_speed ** 2 + 0.0004)"
+_BEGINS = "rolling_speed / sqrt(rolling_speed ** 2 + e ** 2)"
 _SPEED = "sqrt(u ** 2 + w ** 2 + 2.5e-05)"
 _DISTANCE = "sqrt((x - 0.2) ** 2 + (y + 0.3) ** 2)"
 CASES = {
@@ -194,17 +195,17 @@ CASES = {
         ),
     ),
     "fender that rubs where the wheels are steered": (
-        law_of(("resistance", f"0.4 * {_ROLLING} * ({_BEYOND} + sqrt(({_BEYOND}) ** 2 + 0.0016))")),
+        law_of(("resistance", f"0.8 * {_ROLLING} * ({_BEYOND} + sqrt(({_BEYOND}) ** 2 + 0.0016))")),
         (
-            f"resistance = a * {_ROLLING} * (steering_angle - v0 + sqrt((steering_angle - v0) ** 2 + s ** 2))",
-            {"a": (0.4, "N/rad"), "v0": (0.2, "rad"), "s": (0.04, "rad")},
+            f"resistance = a * {_BEGINS} * (steering_angle - v0 + sqrt((steering_angle - v0) ** 2 + s ** 2))",
+            {"a": (0.8, "N/rad"), "v0": (0.2, "rad"), "s": (0.04, "rad"), "e": (0.02, "m/s")},
         ),
     ),
     "carpet under a wheel": (
         law_of(("resistance", f"0.5 * {_ROLLING} * exp(-((wheel_x - 0.3) ** 2 + (wheel_y - 0.1) ** 2) / 0.4 ** 2)")),
         (
-            f"resistance = a * {_ROLLING} * exp(-((wheel_x - x0) ** 2 + (wheel_y - y0) ** 2) / s ** 2)",
-            {"a": (0.5, "N"), "x0": (0.3, "m"), "y0": (0.1, "m"), "s": (0.4, "m")},
+            f"resistance = a * {_BEGINS} * exp(-((wheel_x - x0) ** 2 + (wheel_y - y0) ** 2) / s ** 2)",
+            {"a": (0.5, "N"), "x0": (0.3, "m"), "y0": (0.1, "m"), "s": (0.4, "m"), "e": (0.02, "m/s")},
         ),
     ),
     "load that an eccentric rotor moves": (

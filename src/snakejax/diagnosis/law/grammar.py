@@ -85,7 +85,7 @@ def _pushes(accelerations: Sequence[str], ranges: dict[str, Range]) -> Iterator[
 def _of_one_variable(action: Action, function: Function, variable: str) -> Family:
     """A function of one variable acts; each of its parts has an amplitude."""
     terms = [term_of(action, "abc"[k], text, power(unit_of(variable), n)) for k, (text, n) in enumerate(function.parts)]
-    return Family(function.name, action.name, (variable,), tuple(terms), function.shape)
+    return Family(function.name, action.name, (variable,), tuple(terms), (*function.shape, *action.shape))
 
 
 def _world(function: Function, variable: str) -> Family:

@@ -55,9 +55,13 @@ def in_the_plane(ranges: dict[str, Range]) -> Iterator[Family]:
         bump = f"exp(-(({x} - x0) ** 2 + ({y} - y0) ** 2) / s ** 2)"
         edge = f"(0.5 + 0.5 * tanh(({x} * cos(q) + {y} * sin(q) - d) / s))"
         plane = tuple(term_of(action, a, v, metre) for a, v in (("a", x), ("b", y)))
-        yield Family("plane", action.name, place, plane)
-        yield Family("bump in the plane", action.name, place, (term_of(action, "a", bump, {}),), (*middles, s))
-        yield Family("threshold in the plane", action.name, place, (term_of(action, "a", edge, {}),), (q, d, s))
+        yield Family("plane", action.name, place, plane, action.shape)
+        yield Family(
+            "bump in the plane", action.name, place, (term_of(action, "a", bump, {}),), (*middles, s, *action.shape)
+        )
+        yield Family(
+            "threshold in the plane", action.name, place, (term_of(action, "a", edge, {}),), (q, d, s, *action.shape)
+        )
 
 
 def _tied(

@@ -74,10 +74,11 @@ def smooth_of_two(
 
 
 def _actions(variable: str, wheel: Sequence[str]) -> tuple[Action, ...]:
-    """What a function of a variable may act on."""
+    """What a function of a variable may act on; values at knots are the only parameters."""
+    known = tuple(action for action in ACTIONS if not action.shape)
     if variable in wheel:
-        return tuple(action for action in ACTIONS if action.name in OF_WHEEL)
-    return (*ACTIONS, EAST, NORTH) if variable in WORLD_VARIABLES else ACTIONS
+        return tuple(action for action in known if action.name in OF_WHEEL)
+    return (*known, EAST, NORTH) if variable in WORLD_VARIABLES else known
 
 
 def _spline(action: Action, variable: str, interval: Range, knots: int) -> Family:

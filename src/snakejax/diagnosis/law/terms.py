@@ -18,14 +18,28 @@ DRY_FRICTION = tuple(
 )
 
 
+class ShapeParameter(NamedTuple):
+    """A parameter inside a function: `starts` of its search, its bounds and its unit."""
+
+    name: str
+    unit: Unit
+    starts: tuple[float, ...]
+    low: float = -np.inf
+    high: float = np.inf
+
+
 class Action(NamedTuple):
-    """What a term acts on: the multiplier of the function for each component, and the unit of the product."""
+    """What a term acts on: the multiplier of the function for each component, and the unit of the product. `shape`: the
+    parameters inside the multipliers."""
 
     name: str
     components: tuple[tuple[str, str], ...]
     unit: Unit
+    shape: tuple[ShapeParameter, ...] = ()
 
 
+_BEGINS = ShapeParameter("e", {"m": 1, "s": -1}, (2 * STICKING_SPEED,), 0.2 * STICKING_SPEED, 1.0)
+"""The speed over which the dry friction of a wheel begins."""
 ACTIONS = (
     Action("X", (("X", ""),), NEWTON),
     Action("Y", (("Y", ""),), NEWTON),
@@ -35,7 +49,7 @@ ACTIONS = (
     Action("across", (("X", "-w"), ("Y", "u")), DAMPING),
     Action("yaw_drag", (("N", "-r"),), YAW_DAMPING),
     Action("grip", (("grip", "-"),), {}),
-    Action("rolling", (("resistance", f"rolling_speed / sqrt(rolling_speed ** 2 + {STICKING_SPEED**2})"),), NEWTON),
+    Action("rolling", (("resistance", "rolling_speed / sqrt(rolling_speed ** 2 + e ** 2)"),), NEWTON, (_BEGINS,)),
 )
 OF_WHEEL = ("grip", "rolling")
 """Those actions that each wheel has for itself, which may depend on its own variables."""
@@ -46,16 +60,6 @@ PUSH_SUFFIX = "_acceleration"
 EAST, NORTH = Action("east", (("east", ""),), NEWTON), Action("north", (("north", ""),), NEWTON)
 WORLD_VARIABLES = ("x", "y", "heading", "theta", "time")
 """The variables on which a force along the axes of the world may depend."""
-
-
-class ShapeParameter(NamedTuple):
-    """A parameter inside a function: `starts` of its search, its bounds and its unit."""
-
-    name: str
-    unit: Unit
-    starts: tuple[float, ...]
-    low: float = -np.inf
-    high: float = np.inf
 
 
 class Term(NamedTuple):
