@@ -38,7 +38,8 @@ VALUES, UNITS = {"a": 0.35, "s": 4.0}, {"a": "-", "s": "rad/s"}
 def proposed(expression: str, left_out: float) -> ProposedLaw:
     parameters = (LawParameter("a", "-"),)
     shape = np.zeros(0)
-    return ProposedLaw(expression, parameters, {"a": 0.1}, Family("", "", (), ()), shape, left_out, left_out, shape)
+    family = Family("even saturation", "grip", ("rotor_rate",), ())
+    return ProposedLaw(expression, parameters, {"a": 0.1}, family, shape, left_out, left_out, shape)
 
 
 def told(rival: float = 1.02, verdict: str = "explained") -> Explanation:
@@ -85,6 +86,8 @@ def test_the_first_lines_tell_formula_values_and_rivals() -> None:
     assert EXPRESSION in lines and "s = 4.000 +- 0.010 rad/s" in lines
     assert "Over short windows these laws fit almost as well: grip = 1 - a * rotor_rate ** 2." in lines
     assert "rotor rate 82%" in lines
+    size = "grows with the size of the rotor rate and levels off beyond s"
+    assert f"In words, law_1 is a change of the grip of each wheel that {size}." in lines
 
 
 def test_a_rival_that_is_far_off_is_said_to_be() -> None:

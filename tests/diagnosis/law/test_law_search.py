@@ -1,5 +1,7 @@
 """The search for a law finds the one that made a force, with its variables, its numbers and their units."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from snakejax.diagnosis.law.smooth_forms import smooth_of_one, smooth_of_two
 from snakejax.diagnosis.law.terms import Family, Range, Term
 from snakejax.diagnosis.law.units import power, product, unit_text
 from snakejax.diagnosis.law.windows import ForceWindows
+from snakejax.diagnosis.law.words import in_words
 from snakejax.dynamics.law import formulas_of, law_class
 
 RUNS, OF_RUN, KNOTS, PARAMETERS, STEP = 4, 5, 17, 2, 0.02
@@ -323,6 +326,10 @@ def test_each_form_of_the_grammar_is_an_expression_whose_value_is_that_of_its_te
     smooth = [*smooth_of_one(seen, wheel), *smooth_of_two(seen, wheel, "X", ("u",))]
     assert {family.name for family in smooth} == {"smooth function", "smooth function of two", "series"}
     for family in (*families(seen, wheel), *smooth):
+        told = set(re.findall(r"\b(?:[b-z]|[vxy]0)\b", in_words(family)))
+        letters = {part.name for part in family.shape} | {term.amplitude for term in family.terms}
+        # A spring is written by its point, not by its constant force.
+        assert told <= letters | {"x", "y"} | ({"x0", "y0"} if family.name == "spring" else set())
         known = {name: rng.uniform(0.2, 1.0) for name in seen} | {"theta": 0.1}
         known |= {part.name: part.starts[0] for part in family.shape} | {"axle": -1.0, "rolling_speed": 0.3}
         known |= {term.amplitude: rng.uniform(0.5, 1.0) for term in family.terms}

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from snakejax.core.parameter import parameters, unit_text
 from snakejax.core.tabular import listed
 from snakejax.diagnosis.explanation import Explanation
+from snakejax.diagnosis.law.words import in_words
 from snakejax.diagnosis.residuals.horizon import horizon_errors
 from snakejax.diagnosis.selection.steps import indistinguishable
 
@@ -34,10 +35,14 @@ def confidence_sentences(explanation: Explanation, effect: str) -> Iterator[str]
 
 
 def law_sentences(explanation: Explanation) -> Iterator[str]:
-    """How well the variables of a law are known, and what else fits almost as well."""
+    """What the laws say, how well their variables are known, and what else fits almost as well."""
     force = explanation.law
     if force is None or not force.laws:
         return
+    proposals = {law.expression: law.family for law in force.laws}
+    for name, effect in explanation.named_laws.items():
+        if effect.expression in proposals:
+            yield f"In words, {name} is {in_words(proposals[effect.expression])}."
     shares = [f"{variable.replace('_', ' ')} {percent(share)}" for variable, share in force.depends_on[:3]]
     above = "noise and random force" if force.is_random else "the noise"
     if shares:

@@ -1,0 +1,95 @@
+"""A form of law in words: on what it acts, how it depends on its variables, and what its letters mean."""
+
+from .terms import Family
+
+_VARIABLES = {
+    **{"u": "the speed along the body", "w": "the speed across the body", "r": "the yaw rate", "speed": "the speed"},
+    **{
+        "theta": "the heading",
+        "slip_speed": "the slip speed of the wheel",
+        "slip_angle": "the slip angle of the wheel",
+    },
+    **{"wheel_x": "x of the wheel", "wheel_y": "y of the wheel", "x": "x", "y": "y", "time": "time"},
+    "turn_rate": "the rate at which the wheel turns on the floor",
+}
+ACTIONS = {
+    "X": "a force along the body",
+    "Y": "a force across the body",
+    "N": "a yaw moment",
+    "world": "a force along the axes of the world",
+    "east": "a force along x",
+    "north": "a force along y",
+    "drag": "a drag against the velocity",
+    "friction": "a dry friction of the body",
+    "across": "a force across the velocity",
+    "yaw_drag": "a resistance to yaw",
+    "grip": "a change of the grip of each wheel",
+    "load": "a grip that rises behind the middle as it falls ahead of it",
+    "rolling": "a dry friction of each wheel against its rolling, which begins over the speed e",
+}
+"""What acts, by the name of an action; a push of a joint is named after the joint."""
+_CORNER = "the corner is round over s"
+FUNCTIONS = {
+    "linear": "in proportion to {0}",
+    "square": "in proportion to the square of {0}",
+    "absolute value": "in proportion to the size of {0}",
+    "signed square": "in proportion to the square of {0}, with its sign",
+    "linear and signed square": "with a part in proportion to {0} and one in proportion to its square, with its sign",
+    "affine": "with a constant part and one in proportion to {0}",
+    "saturation": "that grows with {0} and levels off beyond s",
+    "even saturation": "that grows with the size of {0} and levels off beyond s",
+    "threshold": "that is there where {0} is above v0; it changes over s",
+    "bump": "that is there where {0} is near v0, within s",
+    "peak": "that is largest where {0} is v0, and half as large s away from there",
+    "ramp": "that is zero below v0 and grows with {0} above it; " + _CORNER,
+    "falling ramp": "that is zero above v0 and grows as {0} falls below it; " + _CORNER,
+    "two ramps": "that is zero from -v0 to v0 and grows with the size of {0} beyond; " + _CORNER,
+    "play": "that is zero from -v0 to v0, and in proportion to {0} beyond, with its sign; " + _CORNER,
+    "wave": "that repeats with {0}: k is the wave number",
+    "harmonic": "that repeats with each turn of {0}",
+    "second harmonic": "that repeats with each half turn of {0}",
+    "product": "in proportion to {0} times {1}",
+    "sum": "with a part in proportion to {0} and one in proportion to {1}",
+    "plane": "that changes in proportion to the place, {0} and {1}",
+    "bump in the plane": "that is there around the point (x0, y0), within s",
+    "threshold in the plane": "that is there on one side of a line: the line is d from the origin in the direction q,"
+    " and the change takes s",
+    "smooth function": "that is a smooth function of {0}",
+    "smooth function of two": "that is a smooth function of {0} and {1}",
+    "series": "that repeats with {0}, in several harmonics",
+}
+"""How it depends on its variables, by the name of a form."""
+WHOLE = {
+    "spring": "the pull of a spring to the point (x0, y0), k per metre",
+    "hill": "the slope of a hill in the floor, or of a dip, around the point (x0, y0), of the width s",
+    "tether": "the pull of a line to the point (x0, y0): slack up to the length d, 2 k per metre beyond; " + _CORNER,
+    "tether at a point": "the pull of a line from the point (x0, y0), h above the floor, on the point p ahead of the"
+    " centre of the body: slack up to the length d, 2 k per metre beyond; " + _CORNER,
+    "cable": "a dry friction of the body in proportion to its distance from the point (x0, y0), as of a cable that is"
+    " dragged along",
+    "friction at a point": "the dry friction of a point of the body, p ahead of its centre and q to the left; it begins"
+    " over the speed s",
+    "drag at a point": "the drag of a point of the body, p ahead of its centre and q to the left",
+    "friction across": "a dry friction against motion along the direction q of the floor alone; it begins over the"
+    " speed s",
+    "falling friction": "a dry friction of the body that falls from a + b at rest to a above the speed v0",
+    "falling friction of each axis": "a dry friction along and across the body, each by its own speed, that falls from"
+    " a + b at rest to a above the speed v0; it begins over the speed s",
+}
+"""Forms that are told as a whole, whatever their action is called."""
+
+
+def in_words(family: Family) -> str:
+    """What a form of law says, without a full stop."""
+    if family.name in WHOLE:
+        return WHOLE[family.name]
+    variables = [_variable(name) for name in family.variables]
+    action = ACTIONS.get(family.action, f"a {family.action}")
+    return f"{action} {FUNCTIONS[family.name].format(*variables)}"
+
+
+def _variable(name: str) -> str:
+    """A variable in words: `(rotor_rate + r)` is the rate at which a joint turns in the world."""
+    if name.startswith("("):
+        return f"the {name[1:].split(' + ')[0].replace('_', ' ')} plus the yaw rate"
+    return _VARIABLES.get(name, f"the {name.replace('_', ' ')}")
