@@ -12,7 +12,7 @@ from ..latent_force.missing_force import LatentForce
 from ..selection.working_step import WorkingStep
 from .exact_laws import TRIED, explains_train_runs, is_needless, likeliest, smooth_trials
 from .fitting import AddedLaws, fitted_laws, left_out_misfits, predicts_better
-from .search import ProposedLaw, much_better, search, smooth_laws
+from .search import ProposedLaw, search
 
 RIVAL = 2.0
 """A law whose excess in the windows is above this multiple of the best one's is not fitted to whole runs."""
@@ -57,7 +57,7 @@ def best_laws(
 
     trials: list[AddedLaws] = []
     for law in rivals_of(missing.laws):
-        if is_needless(law, trials):
+        if law.family.together or is_needless(law, trials):
             continue
         trial = added((law,))
         if trial is not None:
@@ -67,7 +67,7 @@ def best_laws(
         return [likeliest(exact)]
     smooth: list[AddedLaws] = []
     if missing.windows is not None:
-        proposed = much_better(smooth_laws(missing.windows), missing.laws)
+        proposed = [law for law in missing.laws if law.family.together]
         smooth = smooth_trials(missing.windows, proposed, lambda law: added((law,)))
     if smooth and smooth[-1].leaves_only_noise:
         return [smooth[-1]]

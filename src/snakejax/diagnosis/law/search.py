@@ -96,8 +96,8 @@ def smooth_laws(windows: ForceWindows) -> tuple[ProposedLaw, ...]:
 
 
 def much_better(smooth: Sequence[ProposedLaw], laws: Sequence[ProposedLaw]) -> list[ProposedLaw]:
-    """Those of the `smooth` functions that leave less than `SMOOTH_SHARE` of the excess of every formula of `laws`."""
-    least = min((law.left_out - 1 for law in laws if not law.family.together), default=np.inf)
+    """Those of the `smooth` functions that leave less than `SMOOTH_SHARE` of the excess of every formula, `laws`."""
+    least = min((law.left_out - 1 for law in laws), default=np.inf)
     return [law for law in smooth if law.left_out - 1 < SMOOTH_SHARE * least]
 
 
