@@ -90,6 +90,19 @@ def test_the_first_lines_tell_formula_values_and_rivals() -> None:
     assert f"In words, law_1 is a change of the grip of each wheel that {size}." in lines
 
 
+def test_a_rival_with_more_numbers_is_not_told_and_a_long_one_is_told_in_words() -> None:
+    found = told()
+    assert found.law is not None
+    first, second = found.law.laws
+    long = "grip = 1 - a * (abs(rotor_rate) + " + " + ".join(["rotor_rate ** 2"] * 8) + ")"
+    rival = second._replace(expression=long, family=Family("square", "grip", ("steering_rate",), ()))
+    more = second._replace(expression="grip = 1 - a - b", parameters=(LawParameter("a", "-"), LawParameter("b", "-")))
+    law = dataclasses.replace(found.law, laws=(first, rival, more))
+    text = " ".join(law_sentences(dataclasses.replace(found, law=law)))
+    words = "a change of the grip of each wheel in proportion to the square of the steering rate"
+    assert f"these laws fit almost as well: {words}." in text
+
+
 def test_a_rival_that_is_far_off_is_said_to_be() -> None:
     assert any("No other form comes near it" in line for line in law_sentences(told(rival=9.0)))
 

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from snakejax.core.parameter import parameters, unit_text
 from snakejax.core.tabular import listed
 from snakejax.diagnosis.explanation import Explanation
+from snakejax.diagnosis.law.search import ProposedLaw
 from snakejax.diagnosis.law.words import in_words
 from snakejax.diagnosis.residuals.horizon import horizon_errors
 from snakejax.diagnosis.selection.steps import indistinguishable
@@ -39,10 +40,10 @@ def law_sentences(explanation: Explanation) -> Iterator[str]:
     force = explanation.law
     if force is None or not force.laws:
         return
-    proposals = {law.expression: law.family for law in force.laws}
-    for name, effect in explanation.named_laws.items():
-        if effect.expression in proposals:
-            yield f"In words, {name} is {in_words(proposals[effect.expression])}."
+    taken = {effect.expression: name for name, effect in explanation.named_laws.items()}
+    laws = [law for law in force.laws if law.expression in taken]
+    for law in laws:
+        yield f"In words, {taken[law.expression]} is {in_words(law.family)}."
     shares = [f"{variable.replace('_', ' ')} {percent(share)}" for variable, share in force.depends_on[:3]]
     above = "noise and random force" if force.is_random else "the noise"
     if shares:
@@ -50,20 +51,33 @@ def law_sentences(explanation: Explanation) -> Iterator[str]:
             f"Share of the squared error above {above}, on omitted runs, that a force of one variable alone predicts:"
             f" {', '.join(shares)}."
         )
-    taken = {law.expression for law in explanation.named_laws.values()}
-    others = [law for law in force.laws if law.expression not in taken]
+    others = [law for law in force.laws if law.expression not in taken and not any(_is_more(law, one) for one in laws)]
     least = min(law.left_out for law in force.laws)
     close = [law for law in others if law.left_out - 1 < ALMOST * max(least - 1, LEAST_EXCESS)]
     if close:
-        yield f"Over short windows these laws fit almost as well: {listed([law.expression for law in close], 'or')}."
+        yield f"Over short windows these laws fit almost as well: {'; or '.join(_short(law) for law in close)}."
     elif others:
         best = min(others, key=lambda law: law.left_out)
         yield (
             f"No other form comes near it over short windows: it leaves {force_left(least)} times the noise,"
-            f" the next, {best.expression}, {force_left(best.left_out)}."
+            f" the next, {_short(best)}, {force_left(best.left_out)}."
         )
 
 
+def _is_more(law: ProposedLaw, taken: ProposedLaw) -> bool:
+    """Whether a law acts on what the one that was `taken` acts, on the same variables, with more parameters: it may
+    hold that law as a special case."""
+    same = (law.family.action, law.family.variables) == (taken.family.action, taken.family.variables)
+    return same and len(law.parameters) > len(taken.parameters)
+
+
+def _short(law: ProposedLaw) -> str:
+    """A law by its formula where that is short, else in words."""
+    return law.expression if len(law.expression) <= SHORT else in_words(law.family)
+
+
+SHORT = 80
+"""A formula of more letters is said in words."""
 ALMOST = 3.0
 """A law that leaves less than this multiple of the excess of the best one fits almost as well."""
 LEAST_EXCESS = 0.01
