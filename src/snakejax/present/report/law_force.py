@@ -13,7 +13,7 @@ from snakejax.dynamics.law import ForceLaw, Law
 def law_forces(laws: Iterable[Law], replays: Sequence[RunReplay]) -> dict[str, Float[np.ndarray, "n 3"]]:
     """X, Y [N] and N [N m] of all `laws` together along each run, by its name.
 
-    None where a law is a factor on the grip, or depends on what a replay does not hold.
+    None where a law acts on each wheel, or depends on what a replay does not hold.
     """
     forces = [law for law in laws if isinstance(law, ForceLaw)]
     if not forces:
