@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from snakejax.core.fast_math import sine_cosine
 from snakejax.core.parameter import with_parameters
 from snakejax.dynamics.contact import Motion, Wheel, Wrench
 from snakejax.dynamics.law import WHEEL_VARIABLES, wheel_variables
@@ -96,12 +97,11 @@ def motion_samples(model: Model, motion: Motion) -> MotionSamples:
     """The samples of a `motion` whose numbers have one value a sample."""
     board = model.board
     pairs = list(zip(motion.wheels, board.wheelsets, strict=True))
-    sides, rolling = [], []
+    sides, rolling, none = [], [], (jnp.zeros_like(motion.u),) * 3
     for ahead in (True, False):
         on_side = [pair for pair in pairs if (pair[1].place > 0) == ahead]
         every = [wheel_variables(board, wheelset, wheel, motion) for wheel, wheelset in on_side or pairs]
         sides.append({name: sum(own[name] for own in every) / len(every) for name in WHEEL_VARIABLES})
-        none = (jnp.zeros_like(motion.u),) * 3
         wrenches = [none, *(_forward(board, wheelset, wheel, motion) for wheel, wheelset in on_side)]
         rolling.append(tuple(sum(parts) for parts in zip(*wrenches, strict=True)))
     place = (motion.time, motion.x, motion.y, motion.theta, motion.heading, motion.u, motion.w, motion.r)
@@ -113,6 +113,5 @@ def motion_samples(model: Model, motion: Motion) -> MotionSamples:
 def _forward(board: AbstractVehicle, wheelset: Wheelset, wheel: Wheel, motion: Motion) -> Wrench:
     """The wrench of a unit force forward along a `wheel`."""
     at = board.placement(wheelset, {name: joint.angle for name, joint in motion.inputs.items()})
-    sine, cosine = jnp.sin(at.angle), jnp.cos(at.angle)
-    X, Y = cosine * wheel.cosine - sine * wheel.sine, sine * wheel.cosine + cosine * wheel.sine
+    Y, X = sine_cosine(at.angle + wheel.joint.angle)
     return X, Y, at.x * Y - at.y * X

@@ -41,7 +41,7 @@ def in_the_plane(ranges: dict[str, Range]) -> Iterator[Family]:
     # Without a slack length it is a spring, and without a corner nobody can follow its slope.
     away, corner = "sqrt((x - x0) ** 2 + (y - y0) ** 2 + s ** 2)", s._replace(starts=(0.05 * size,), low=0.002 * size)
     slack = ShapeParameter("d", metre, (0.2 * size, 0.5 * size, 0.8 * size), 0.0, 5 * size)
-    taut = f"({away} - d + sqrt(({away} - d) ** 2 + s ** 2)) / {away}"
+    taut = _taut(away)
     pull = (("east", f"-(x - x0) * {taut}"), ("north", f"-(y - y0) * {taut}"))
     yield Family("tether", "world", ("x", "y"), (Term("k", {"N": 1, "m": -1}, pull),), (*middles, slack, corner))
     yield _tied("theta" if "theta" in ranges else "heading", middles, slack, corner, size)
@@ -56,12 +56,14 @@ def in_the_plane(ranges: dict[str, Range]) -> Iterator[Family]:
         edge = f"(0.5 + 0.5 * tanh(({x} * cos(q) + {y} * sin(q) - d) / s))"
         plane = tuple(term_of(action, a, v, metre) for a, v in (("a", x), ("b", y)))
         yield Family("plane", action.name, place, plane, action.shape)
-        yield Family(
-            "bump in the plane", action.name, place, (term_of(action, "a", bump, {}),), (*middles, s, *action.shape)
-        )
-        yield Family(
-            "threshold in the plane", action.name, place, (term_of(action, "a", edge, {}),), (q, d, s, *action.shape)
-        )
+        for name, text, own in (("bump", bump, middles), ("threshold", edge, (q, d))):
+            shape = (*own, s, *action.shape)
+            yield Family(f"{name} in the plane", action.name, place, (term_of(action, "a", text, {}),), shape)
+
+
+def _taut(away: str) -> str:
+    """By how much a line of the length `away` is longer than d, over its length; the corner is round over s."""
+    return f"({away} - d + sqrt(({away} - d) ** 2 + s ** 2)) / {away}"
 
 
 def _tied(
@@ -73,7 +75,7 @@ def _tied(
     h = ShapeParameter("h", metre, (0.25 * size,), 0.0, 5 * size)
     x, y = f"(x + p * cos({angle}) - x0)", f"(y + p * sin({angle}) - y0)"
     away = f"sqrt({x} ** 2 + {y} ** 2 + h ** 2)"
-    taut = f"({away} - d + sqrt(({away} - d) ** 2 + s ** 2)) / {away}"
+    taut = _taut(away)
     turn = f"p * ({x} * sin({angle}) - {y} * cos({angle}))"
     pull = tuple((side, f"{part} * {taut}") for side, part in (("east", f"-{x}"), ("north", f"-{y}"), ("N", turn)))
     term = Term("k", {"N": 1, "m": -1}, pull)
