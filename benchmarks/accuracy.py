@@ -1,7 +1,7 @@
 """How often the diagnosis is right on synthetic boards: with each effect at five strengths, and without any.
 
     python benchmarks/accuracy.py PART [RESULTS]         PART: null, ranking, loop, strong, pairs, strangers,
-                                                         unusual, natural, mixed, exhaustive, table
+                                                         unusual, natural, further, mixed, exhaustive, table
 
 Each part writes its results line by line into RESULTS (default benchmarks/accuracy.jsonl), and continues there after
 a stop. `table` prints the summary, which is kept in benchmarks/accuracy.txt.
@@ -16,6 +16,7 @@ pairs       the whole loop on 24 pairs of effects at such sizes, every fourth ti
 strangers   the same with an effect that is in no library.
 unusual     the same with one of a form that was unknown to those who wrote the search for laws.
 natural     the same with one that may act on a board in a laboratory, unknown to them too.
+further     the same with twelve more of that kind.
 mixed       the same with such an effect and a known one together; the report must name the known one with the force.
 exhaustive  twenty of the hundred with all candidates refitted, as the reference.
 
@@ -39,6 +40,7 @@ prepare_jax()
 
 import boards  # noqa: E402
 import equinox as eqx  # noqa: E402
+import further_laws  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 import natural_laws  # noqa: E402
 import numpy as np  # noqa: E402
@@ -348,6 +350,10 @@ def natural(results: Results) -> None:
     _other_strangers(results, "natural", 9100, natural_laws.NATURAL)
 
 
+def further(results: Results) -> None:
+    _other_strangers(results, "further", 9200, further_laws.FURTHER)
+
+
 def _other_strangers(results: Results, part: str, first: int, effects: dict[str, tuple[Any, str]]) -> None:
     """One board for each of the `effects`, numbered from `first` on, in turns of each structure."""
     for k, (name, (effect, variable)) in enumerate(effects.items()):
@@ -451,6 +457,8 @@ def table(results: Results) -> None:
         _strangers_table("Effects of unusual forms", lines)
     if lines := results.of("natural"):
         _strangers_table("Effects that may act in a laboratory", lines)
+    if lines := results.of("further"):
+        _strangers_table("More effects that may act in a laboratory", lines)
     if lines := results.of("mixed"):
         _mixed_table(lines)
     if lines := results.of("exhaustive"):
@@ -575,7 +583,7 @@ def _loop_table(lines: list[dict[str, Any]]) -> None:
 
 PARTS = {
     part.__name__: part
-    for part in (null, ranking, loop, strong, pairs, strangers, unusual, natural, mixed, exhaustive, table)
+    for part in (null, ranking, loop, strong, pairs, strangers, unusual, natural, further, mixed, exhaustive, table)
 }
 
 if __name__ == "__main__":

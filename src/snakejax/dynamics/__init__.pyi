@@ -7,6 +7,7 @@ from .constraints import Slipping as Slipping
 from .contact import Motion as Motion
 from .contact import Wheel as Wheel
 from .contact import slip_angle as slip_angle
+from .floor import weight_on_floor as weight_on_floor
 from .inputs import AbstractInputs as AbstractInputs
 from .inputs import Gait as Gait
 from .inputs import Inputs as Inputs

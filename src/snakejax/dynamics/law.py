@@ -13,7 +13,8 @@ from snakejax.core.errors import InputError
 from snakejax.core.formula import SMOOTH_FUNCTIONS, evaluated, names_in, parsed
 from snakejax.core.parameter import Scalar, own_parameters, param
 
-from .contact import Motion, Wheel, Wrench, sine_cosine, slip_angle
+from .contact import Motion, Wheel, Wrench, slip_angle
+from .floor import place_of_wheel, weight_on_floor
 from .ports import Effect, Force, LateralForce, RollingForce
 from .signals import Joint
 from .vehicle import AbstractVehicle, Wheelset
@@ -21,17 +22,22 @@ from .vehicle import AbstractVehicle, Wheelset
 if TYPE_CHECKING:
     from .model import Model
 
-COMPONENTS = ("X", "Y", "N", "east", "north", "grip", "resistance")
+COMPONENTS = ("X", "Y", "N", "east", "north", "grip", "resistance", "height")
 """What a law may set: force along and across the body [N], yaw moment [N m], force along the axes of the world [N], the
-factor on the lateral force of each wheel [-], or a force on each wheel against its rolling forward [N]."""
-OF_EACH_WHEEL = ("grip", "resistance")
+factor on the lateral force of each wheel [-], a force on each wheel against its rolling forward [N], or the height of
+the floor under each wheel [m]."""
+OF_EACH_WHEEL = ("grip", "resistance", "height")
 """The components that each wheel has for itself: they may depend on `WHEEL_VARIABLES`, and are set alone."""
+PLACE_OF_WHEEL = ("wheel_x", "wheel_y")
+"""The variables of a wheel that say where it stands; the height of a floor depends on no others."""
 
 
 VARIABLES = ("time", "x", "y", "heading", "theta", "u", "w", "r", "speed")
 """The variables of any vehicle, see `Motion`; `speed` is that of the body. Those of its joints come beside."""
 WHEEL_VARIABLES = ("slip_speed", "slip_angle", "rolling_speed", "wheel_x", "wheel_y", "turn_rate", "axle")
 """The variables of one wheel, on which its grip and its resistance may depend, see `wheel_variables`."""
+
+_KNOWN = {*VARIABLES, *WHEEL_VARIABLES}
 
 
 class LawParameter(NamedTuple):
@@ -90,6 +96,17 @@ class ResistanceLaw(Law, RollingForce):
         return _of_wheel(self, "resistance", wheel, motion) + jnp.zeros_like(wheel.rolling)
 
 
+class FloorLaw(Law, Force):
+    """The height of the floor: the weight pushes each wheel down the slope on which it stands."""
+
+    def wrench(self, motion: Motion) -> Wrench:
+        def height(x: Scalar, y: Scalar) -> Scalar:
+            known = self.values() | dict(zip(PLACE_OF_WHEEL, (x, y), strict=True))
+            return evaluated(self.formulas["height"], known, jnp) + jnp.zeros_like(x)
+
+        return weight_on_floor(height, motion)
+
+
 def _of_wheel(law: Law, component: str, wheel: Wheel, motion: Motion) -> Scalar:
     """The value of a component of `law` for one wheel."""
     of_wheel = wheel_variables(motion.board, wheel.wheelset, wheel, motion)
@@ -111,14 +128,11 @@ def wheel_variables(board: AbstractVehicle, wheelset: Wheelset, wheel: Wheel, mo
     `wheel_y` [m]; the rate [rad/s] at which it turns on the floor, r plus that of its steering; and `axle`, 1 ahead of
     the middle, -1 behind it.
     """
-    at = board.placement(wheelset, {name: joint.angle for name, joint in motion.inputs.items()})
-    sine, cosine = sine_cosine(motion.theta)
     values = (
         wheel.lateral,
         slip_angle(wheel.lateral, wheel.rolling, board.creep_speed),
         wheel.rolling,
-        motion.x + at.x * cosine - at.y * sine,
-        motion.y + at.x * sine + at.y * cosine,
+        *place_of_wheel(board, wheelset, motion),
         motion.r + wheel.joint.rate,
         jnp.zeros_like(motion.r) + np.sign(wheelset.place),
     )
@@ -138,6 +152,9 @@ def formulas_of(expression: str) -> dict[str, ast.expr]:
             what = f"`{part.strip()}` sets no component of a law, or sets one again"
             raise InputError(what, "expression", f"write `COMPONENT = formula`, of {', '.join(COMPONENTS)}")
         formulas[name] = parsed(formula)
+    if "height" in formulas and (others := set(names_in(formulas["height"])) & (_KNOWN - set(PLACE_OF_WHEEL))):
+        what = f"The height of the floor cannot depend on `{min(others)}`"
+        raise InputError(what, "expression", f"write it as a formula of {' and '.join(PLACE_OF_WHEEL)}")
     alone = set(formulas) & set(OF_EACH_WHEEL)
     if alone and len(formulas) > 1:
         what = f"A law that sets the {min(alone)} of each wheel cannot set anything else"
@@ -157,7 +174,7 @@ def law_class(expression: str, given: tuple[LawParameter, ...], description: str
     for one in given:
         if one.name not in named:
             raise InputError(f"`{expression}` has no parameter `{one.name}`", "expression", "leave it out")
-    kinds: dict[str, type] = {"grip": GripLaw, "resistance": ResistanceLaw}
+    kinds: dict[str, type] = {"grip": GripLaw, "resistance": ResistanceLaw, "height": FloorLaw}
     bases = tuple(kinds[component] for component in formulas if component in kinds) or (ForceLaw,)
     fields: dict[str, Any] = {p.name: param(p.unit, low=p.low, high=p.high, default=p.default) for p in given}
     own = {

@@ -9,7 +9,7 @@ from snakejax.core.formula import evaluated
 from snakejax.diagnosis.law.grammar import families
 from snakejax.diagnosis.law.knots import KnotFit, hats_at
 from snakejax.diagnosis.law.search import finer, search, smooth_laws, wider
-from snakejax.diagnosis.law.smooth_forms import smooth_of_one, smooth_of_two
+from snakejax.diagnosis.law.smooth_forms import smooth_floors, smooth_of_one, smooth_of_two
 from snakejax.diagnosis.law.terms import Family, Range, Term
 from snakejax.diagnosis.law.units import power, product, unit_text
 from snakejax.diagnosis.law.windows import ForceWindows
@@ -52,13 +52,15 @@ def _of_wheels(own: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     return place | {"turn_rate": turn_rate, "axle": axle, "rolling_speed": rolling_speed}
 
 
-def _rolling(own: dict[str, np.ndarray]) -> np.ndarray:
-    """The wrench (2, 3, W, n) of a unit force along each of these wheels."""
-    sides = []
+def _at_wheels(own: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The wrenches (2, 3, W, n) of a unit force along each of these wheels, and of a load of 30 N on a slope."""
+    c, s = np.cos(own["theta"]), np.sin(own["theta"])
+    sides: dict[str, list[list[np.ndarray]]] = {"resistance": [], "fall_x": [], "fall_y": []}
     for axle in (1.0, -1.0):
-        X, Y = np.cos(axle * own["steering_angle"]), np.sin(axle * own["steering_angle"])
-        sides.append([X, Y, 0.5 * axle * Y])
-    return np.array(sides)
+        steered = np.cos(axle * own["steering_angle"]), np.sin(axle * own["steering_angle"])
+        for name, X, Y in (("resistance", *steered), ("fall_x", 30 * c, -30 * s), ("fall_y", 30 * s, 30 * c)):
+            sides[name].append([X, Y, 0.5 * axle * Y])
+    return {name: np.array(of_sides) for name, of_sides in sides.items()}
 
 
 def windows_of(made: Family, seed: int = 1, noise: float = 1.0) -> ForceWindows:
@@ -74,7 +76,7 @@ def windows_of(made: Family, seed: int = 1, noise: float = 1.0) -> ForceWindows:
     normal_equations = (zeros, zeros[:, 0], square, owner, size, size)
     wheel = ("wheel_x", "wheel_y", "turn_rate", "axle", "rolling_speed")
     variables |= _of_wheels(own)
-    bare = ForceWindows(variables, wheel, _rolling(own), onto_knots, *normal_equations, own["theta"], W * 150)
+    bare = ForceWindows(variables, wheel, _at_wheels(own), onto_knots, *normal_equations, own["theta"], W * 150)
     history = bare.histories(made, {})[0].sum(axis=0)
     H = rng.normal(size=(W, 150, PARAMETERS + 5 * KNOTS))
     data = np.einsum("wij,wj->wi", H[:, :, PARAMETERS:], history) * 30 + noise * rng.normal(size=(W, 150))
@@ -103,6 +105,11 @@ def _across(a: str, q: str, s: str) -> tuple[tuple[str, str], ...]:
     return (("X", f"{against} * {cosine}"), ("Y", f"{against} * {sine}"))
 
 
+def _beyond(x: str, y: str, q: str, d: str) -> str:
+    """How far a place is beyond a line."""
+    return f"({x} * cos({q}) + {y} * sin({q}) - {d})"
+
+
 _STOPS = [f"sqrt((steering_angle {sign} 0.3) ** 2 + 0.0025)" for sign in "-+"]
 _AWAY, _TO = "sqrt((x - 0.2) ** 2 + (y + 0.3) ** 2 + 0.0016)", (("east", "x - 0.2"), ("north", "y + 0.3"))
 _PULL = f"({_AWAY} - 0.7 + sqrt(({_AWAY} - 0.7) ** 2 + 0.0016)) / {_AWAY}"
@@ -113,6 +120,7 @@ _ROLLING = "rolling_speed / sqrt(rolling_speed ** 2 + 0.0004)"
 _BEGINS = "rolling_speed / sqrt(rolling_speed ** 2 + e ** 2)"
 _SPEED = "sqrt(u ** 2 + w ** 2 + 2.5e-05)"
 _DISTANCE = "sqrt((x - 0.2) ** 2 + (y + 0.3) ** 2)"
+_DOWN, _LETTERS = (("east", "0.1"), ("north", "-0.2")), (("east", "a"), ("north", "b"))
 CASES = {
     "spring": (
         law_of(("east", "0.15 * (0.6 - x)"), ("north", "0.15 * (-0.7 - y)")),
@@ -251,6 +259,56 @@ CASES = {
             {"a": (0.3, "N"), "q": (0.5, "rad"), "s": (0.03, "m/s")},
         ),
     ),
+    "trough": (
+        law_of(*((side, f"{a} * tanh({_beyond('x', 'y', '2.0', '0.2')} / 0.1)") for side, a in _DOWN)),
+        (
+            "; ".join(f"{side} = {a} * tanh({_beyond('x', 'y', 'q', 'd')} / s)" for side, a in _LETTERS),
+            {"a": (0.1, "N"), "b": (-0.2, "N"), "q": (2.0, "rad"), "d": (0.2, "m"), "s": (0.1, "m")},
+        ),
+    ),
+    "corrugated floor, oblique": (
+        law_of(*((side, f"{a} * sin(8 * (x * cos(0.7) + y * sin(0.7)))") for side, a in _DOWN)),
+        (
+            "; ".join(f"{side} = {a} * sin(k * (x * cos(q) + y * sin(q)))" for side, a in _LETTERS),
+            {"a": (0.1, "N"), "b": (-0.2, "N"), "q": (0.7, "rad"), "k": (8.0, "1/m")},
+        ),
+    ),
+    "hump that each wheel climbs": (
+        law_of(("height", "0.01 * exp(-((wheel_x - 0.3) ** 2 + (wheel_y - 0.1) ** 2) / 0.3 ** 2)")),
+        (
+            "height = a * exp(-((wheel_x - x0) ** 2 + (wheel_y - y0) ** 2) / s ** 2)",
+            {"a": (0.01, "m"), "x0": (0.3, "m"), "y0": (0.1, "m"), "s": (0.3, "m")},
+        ),
+    ),
+    "ledge that each wheel climbs": (
+        law_of(("height", f"0.01 * (0.5 + 0.5 * tanh({_beyond('wheel_x', 'wheel_y', '0.4', '0.3')} / 0.15))")),
+        (
+            f"height = a * (0.5 + 0.5 * tanh({_beyond('wheel_x', 'wheel_y', 'q', 'd')} / s))",
+            {"a": (0.01, "m"), "q": (0.4, "rad"), "d": (0.3, "m"), "s": (0.15, "m")},
+        ),
+    ),
+    "castor that does not steer": (
+        law_of(("Y", "-0.3 * tanh((w + 0.4 * r) / 0.03)"), ("N", "-0.12 * tanh((w + 0.4 * r) / 0.03)")),
+        (
+            "Y = -a * tanh((w + p * r) / s); N = -a * p * tanh((w + p * r) / s)",
+            {"a": (0.3, "N"), "p": (0.4, "m"), "s": (0.03, "m/s")},
+        ),
+    ),
+    "heavy rotor on a slope": (
+        law_of(("N", "0.03 * sin(rotor_angle + heading) - 0.02 * cos(rotor_angle + heading)")),
+        (
+            "N = a * sin((rotor_angle + heading)) + b * cos((rotor_angle + heading))",
+            {"a": (0.03, "N m"), "b": (-0.02, "N m")},
+        ),
+    ),
+    "bearing of the front wheels that drags": (
+        law_of(("resistance", f"0.15 * (1 + axle) * {_ROLLING}")),
+        (f"resistance = a * 0.5 * (1 + axle) * {_BEGINS}", {"a": (0.3, "N"), "e": (0.02, "m/s")}),
+    ),
+    "front wheels that lean as they steer": (
+        law_of(("grip", "-0.15 * (1 + axle) * tanh(steering_angle / 0.3)")),
+        ("grip = 1 - a * 0.5 * (1 + axle) * tanh(steering_angle / s)", {"a": (0.3, "-"), "s": (0.3, "rad")}),
+    ),
     "friction that grows": (
         law_of(*((side, f"-0.05 * {v} / {_SPEED} * time") for side, v in (("X", "u"), ("Y", "w")))),
         (f"X = -b * u / {_SPEED} * time; Y = -b * w / {_SPEED} * time", {"b": (0.05, "N/s")}),
@@ -323,7 +381,8 @@ def test_each_form_of_the_grammar_is_an_expression_whose_value_is_that_of_its_te
     rng = np.random.default_rng(3)
     seen = {name: Range(-1.0, 1.2) for name in NAMES} | {"speed": Range(0.0, 1.2)}
     wheel = ("slip_speed", "wheel_x", "wheel_y", "turn_rate", "axle", "rolling_speed")
-    smooth = [*smooth_of_one(seen, wheel), *smooth_of_two(seen, wheel, "X", ("u",))]
+    seen |= {f"({joint} + {of})": Range(-1.0, 1.2) for joint, of in (("rotor_angle", "heading"), ("rotor_rate", "r"))}
+    smooth = [*smooth_of_one(seen, wheel), *smooth_of_two(seen, wheel, "X", ("u",)), *smooth_floors(seen)]
     assert {family.name for family in smooth} == {"smooth function", "smooth function of two", "series"}
     for family in (*families(seen, wheel), *smooth):
         told = set(re.findall(r"\b(?:[b-z]|[vxy]0)\b", in_words(family)))

@@ -29,6 +29,10 @@ LAWS = {
         "resistance = (a + b * abs(steering_angle) + c * wheel_x) * tanh(rolling_speed / 0.01)",
         {"a": ("N", 0.1), "b": ("N/rad", 0.2), "c": ("N/m", 0.1)},
     ),
+    "height": (
+        "height = a * sin(3 * wheel_x) + b * wheel_x * wheel_y + c",
+        {"a": ("m", 0.003), "b": ("1/m", 0.002), "c": ("m", 0.1)},
+    ),
     "mixed": ("X = -a * u * speed; north = b; N = c * sin(heading)", {n: ("N", 0.1) for n in "abc"}),
 }
 

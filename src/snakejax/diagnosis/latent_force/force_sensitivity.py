@@ -9,6 +9,7 @@ import numpy as np
 from snakejax.core.fast_math import sine_cosine
 from snakejax.core.parameter import with_parameters
 from snakejax.dynamics.contact import Motion, Wheel, Wrench
+from snakejax.dynamics.floor import force_at_wheel
 from snakejax.dynamics.law import WHEEL_VARIABLES, wheel_variables
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.vehicle import AbstractVehicle, Wheelset
@@ -21,6 +22,9 @@ from .piecewise_force import SPACING, FreeForce, FreeGrip
 
 ACCURACY = Accuracy(rtol=1e-6, atol=1e-8, max_steps=6000, derivative="forward")
 """Finer than windows otherwise need: the steps of the solver must not jump over a knot."""
+
+AT_WHEEL = ("resistance", "fall_x", "fall_y")
+"""What acts at a wheel, see `MotionSamples`."""
 
 
 class MotionSamples(NamedTuple):
@@ -40,8 +44,10 @@ class MotionSamples(NamedTuple):
     """Those of its joints, see `AbstractVehicle.accelerations`."""
     wheels: dict[str, tuple[np.ndarray, np.ndarray]]
     """Variables of a wheel, see `wheel_variables`: the mean of those ahead of the middle, and of those behind it."""
-    rolling: tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]
-    """The wrench [-, -, m] of a unit force forward along each wheel: the sum of those ahead, and of those behind."""
+    at_wheels: dict[str, tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]]
+    """The wrench of what acts at each wheel, the sum of those ahead, and of those behind: a unit force forward along
+    it, `resistance` [-, -, m], and its weight on a floor that falls by 1 along x or y, `fall_x`, `fall_y` [N, N,
+    N m]."""
 
 
 class ForceLinearisation(NamedTuple):
@@ -97,21 +103,24 @@ def motion_samples(model: Model, motion: Motion) -> MotionSamples:
     """The samples of a `motion` whose numbers have one value a sample."""
     board = model.board
     pairs = list(zip(motion.wheels, board.wheelsets, strict=True))
-    sides, rolling, none = [], [], (jnp.zeros_like(motion.u),) * 3
+    sides, acting, zero = [], [], jnp.zeros_like(motion.u)
     for ahead in (True, False):
         on_side = [pair for pair in pairs if (pair[1].place > 0) == ahead]
         every = [wheel_variables(board, wheelset, wheel, motion) for wheel, wheelset in on_side or pairs]
         sides.append({name: sum(own[name] for own in every) / len(every) for name in WHEEL_VARIABLES})
-        wrenches = [none, *(_forward(board, wheelset, wheel, motion) for wheel, wheelset in on_side)]
-        rolling.append(tuple(sum(parts) for parts in zip(*wrenches, strict=True)))
+        every = [_at_wheel(board, wheelset, wheel, motion) for wheel, wheelset in on_side]
+        acting.append(jax.tree.map(lambda *parts: sum(parts, zero), {name: (zero,) * 3 for name in AT_WHEEL}, *every))
     place = (motion.time, motion.x, motion.y, motion.theta, motion.heading, motion.u, motion.w, motion.r)
     of_joints = (board.variables(motion.inputs), board.accelerations(motion.inputs))
     wheels = {name: (sides[0][name], sides[1][name]) for name in WHEEL_VARIABLES}
-    return MotionSamples(*place, *of_joints, wheels, (rolling[0], rolling[1]))
+    at_wheels = {name: (acting[0][name], acting[1][name]) for name in AT_WHEEL}
+    return MotionSamples(*place, *of_joints, wheels, at_wheels)
 
 
-def _forward(board: AbstractVehicle, wheelset: Wheelset, wheel: Wheel, motion: Motion) -> Wrench:
-    """The wrench of a unit force forward along a `wheel`."""
+def _at_wheel(board: AbstractVehicle, wheelset: Wheelset, wheel: Wheel, motion: Motion) -> dict[str, Wrench]:
+    """The wrenches of a `wheel` by the names `AT_WHEEL`."""
     at = board.placement(wheelset, {name: joint.angle for name, joint in motion.inputs.items()})
     Y, X = sine_cosine(at.angle + wheel.joint.angle)
-    return X, Y, at.x * Y - at.y * X
+    load, none = board.load(wheelset) + jnp.zeros_like(motion.u), jnp.zeros_like(motion.u)
+    falls = (force_at_wheel(board, wheelset, motion, *force) for force in ((load, none), (none, load)))
+    return dict(zip(AT_WHEEL, ((X, Y, at.x * Y - at.y * X), *falls), strict=True))

@@ -16,6 +16,7 @@ def friction_forms(ranges: dict[str, Range]) -> Iterator[Family]:
         yield _friction_across("theta" if "theta" in ranges else "heading", fastest)
         if "r" in ranges:
             yield from _at_a_point(fastest, fastest / ranges["r"].largest)
+            yield from _wheel_at_a_point(fastest, fastest / ranges["r"].largest)
 
 
 def _at_a_point(fastest: float, size: float) -> Iterator[Family]:
@@ -31,6 +32,20 @@ def _at_a_point(fastest: float, size: float) -> Iterator[Family]:
     for name, over, unit, own in (("friction", length, NEWTON, (*shape, s)), ("drag", "", DAMPING, shape)):
         formulas = tuple((side, f"-{v}{over}") for side, v in (("X", along), ("Y", across), ("N", turn)))
         yield Family(f"{name} at a point", name, ("u", "w", "r"), (Term("a", unit, formulas),), own)
+
+
+def _wheel_at_a_point(fastest: float, size: float) -> Iterator[Family]:
+    """Dry friction or drag of a wheel or a runner p ahead of the centre, which does not steer: only against motion
+    across the body. `size` [m] as in `_at_a_point`; dry friction begins over the speed s."""
+    s = ShapeParameter("s", {"m": 1, "s": -1}, (0.02 * fastest, 0.1 * fastest), 0.003 * fastest, fastest)
+    starts = tuple(size * part for part in (-2, -1, -0.4, 0, 0.4, 1, 2))
+    p = ShapeParameter("p", {"m": 1}, starts, -10 * size, 10 * size)
+    for name, across, unit, own in (
+        ("friction", "tanh((w + p * r) / s)", NEWTON, (p, s)),
+        ("drag", "(w + p * r)", DAMPING, (p,)),
+    ):
+        formulas = (("Y", f"-{across}"), ("N", f"-p * {across}"))
+        yield Family(f"{name} across at a point", name, ("w", "r"), (Term("a", unit, formulas),), own)
 
 
 def _friction_across(angle: str, fastest: float) -> Family:

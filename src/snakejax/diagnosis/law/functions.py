@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .terms import Range, ShapeParameter
-from .units import Unit, power, unit_of
+from .units import Unit, is_direction, power, unit_of
 
 
 class Function(NamedTuple):
@@ -19,8 +19,8 @@ class Function(NamedTuple):
 
 def functions_of(variable: str, interval: Range) -> Iterator[Function]:
     """The functions of one variable."""
-    v, unit, angle = variable, unit_of(variable), variable in ("heading", "theta")
-    if angle:
+    v, unit = variable, unit_of(variable)
+    if is_direction(v):
         yield Function("harmonic", ((f"sin({v})", 0), (f"cos({v})", 0)))
         yield Function("second harmonic", ((f"sin(2 * {v})", 0), (f"cos(2 * {v})", 0)))
         return
@@ -50,7 +50,7 @@ def functions_of(variable: str, interval: Range) -> Iterator[Function]:
 
 def _ramps(v: str, unit: Unit, interval: Range) -> Iterator[Function]:
     """Functions that are zero on one side of v0 and grow along a line on the other, with a corner that is round over s:
-    from a stop on, from two stops on, and what a spring with play does."""
+    from a stop on, from two stops on, what a spring with play does, and the same without a stop."""
     places = tuple(interval.low + interval.width * part for part in (0.1, 0.3, 0.5, 0.7, 0.9))
     v0 = ShapeParameter("v0", unit, places, interval.low, interval.high)
     s = ShapeParameter("s", unit, (0.05 * interval.width,), 0.002 * interval.width, interval.width)
@@ -61,6 +61,8 @@ def _ramps(v: str, unit: Unit, interval: Range) -> Iterator[Function]:
         v0 = v0._replace(starts=tuple(play * part for part in (0.2, 0.4, 0.6, 0.8)), low=0.0, high=play)
         above, below = (f"sqrt(({v} {sign} v0) ** 2 + s ** 2)" for sign in "-+")
         yield Function("two ramps", ((f"({above} + {below} - 2 * v0)", 1),), (v0, s))
+        widths = ShapeParameter("s", unit, (0.1 * interval.largest,), 0.01 * interval.largest, interval.largest)
+        yield Function("round absolute value", ((f"(sqrt({v} ** 2 + s ** 2) - s)", 1),), (widths,))
         yield Function("play", ((f"(2 * {v} + {above} - {below})", 1),), (v0, s))
 
 

@@ -7,13 +7,14 @@ A law is a sum of terms, each an amplitude times a product of variables and one 
     drag, dry friction, force      bump, a peak, a ramp from a stop on, from two stops on, a line with play, sin and cos
     across the velocity, yaw       of k v, a product of two variables,
     drag, grip, rolling friction   in the plane a spring to a point, a tether to a point, also from a height and to a
-    of each wheel, load from axle  point of the body, a plane, a bump, a threshold, the slope of a hill, friction in
-    to axle, push of a joint       proportion to the distance from a point (a cable dragged along), dry friction that
-                                   falls with the speed (Stribeck), along the velocity or each axis, dry friction or
-                                   drag of a point of the body, dry friction across a direction
+    of each wheel, load from axle  point of the body, a plane, a bump, a threshold, a stripe, a wave along a direction,
+    to axle, grip or rolling       a trough, the slope of a hill, friction in proportion to the distance from a point (a
+    friction of one axle, height   cable dragged along), dry friction that falls with the speed (Stribeck), along the
+    of the floor under each        velocity or each axis, dry friction or drag of a point of the body, also of a wheel
+    wheel, push of a joint         there that does not steer, dry friction across a direction
                                    (a push is a yaw moment, the acceleration of a joint times a function of that joint)
 
-A variable is one of a motion, or the rate at which a joint turns in the world, `(rotor_rate + r)`.
+A variable is one of a motion, or the angle or the rate of a joint in the world, `(rotor_rate + r)`.
 Where no such form is good enough, see `smooth_forms`.
 """
 
@@ -25,7 +26,10 @@ from .functions import Function, functions_of
 from .plane_forms import in_the_plane
 from .terms import (
     ACTIONS,
+    BACK,
+    DRAGGING,
     EAST,
+    FRONT,
     LOAD,
     NEWTON_METRE,
     NORTH,
@@ -39,6 +43,9 @@ from .terms import (
 )
 from .units import is_sum, power, product, unit_of
 
+OF_GRIP = ("grip", LOAD.name, FRONT.name, BACK.name)
+"""Those actions that are a change of the grip."""
+
 
 def families(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]:
     """All forms of law of the variables in `ranges`; those named in `wheel` belong to a wheel, on which only `OF_WHEEL`
@@ -49,10 +56,10 @@ def families(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]
     yield from _pushes(pushes, ranges)
     for variable, interval in ranges.items():
         for function in functions_of(variable, interval):
-            for action in (*ACTIONS, LOAD) if "axle" in wheel else ACTIONS:
+            for action in (*ACTIONS, *_of_axles(variable, wheel)):
                 if variable in wheel and action.name not in OF_WHEEL:
                     continue
-                if action.name in ("grip", "load") and function.name == "affine":
+                if action.name in OF_GRIP and function.name == "affine":
                     continue  # A constant part of the grip is that of the tyre, or of one tyre.
                 yield _of_one_variable(action, function, variable)
             if variable in WORLD_VARIABLES:
@@ -69,6 +76,17 @@ def families(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]
     if "x" in ranges and "y" in ranges:
         yield from in_the_plane(ranges)
     yield from friction_forms(ranges)
+    for action in DRAGGING if "axle" in wheel else ():
+        yield Family("constant", action.name, ("rolling_speed",), (term_of(action, "a", "", {}),), action.shape)
+
+
+def _of_axles(variable: str, wheel: Sequence[str]) -> tuple[Action, ...]:
+    """The actions that differ from axle to axle, which may depend on a variable; the grip of one axle alone depends on
+    joints and on the wheels themselves."""
+    if "axle" not in wheel:
+        return ()
+    own = variable in wheel or variable.endswith(("_angle", "_rate"))
+    return (LOAD, FRONT, BACK) if own else (LOAD,)
 
 
 def _pushes(accelerations: Sequence[str], ranges: dict[str, Range]) -> Iterator[Family]:

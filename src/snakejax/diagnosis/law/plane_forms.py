@@ -4,7 +4,22 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from .terms import ACTIONS, DRY_FRICTION, EAST, NORTH, OF_WHEEL, Family, Range, ShapeParameter, Term, term_of
+from snakejax.dynamics.law import PLACE_OF_WHEEL
+
+from .terms import (
+    ACTIONS,
+    DRY_FRICTION,
+    EAST,
+    HEIGHT,
+    NORTH,
+    OF_WHEEL,
+    Action,
+    Family,
+    Range,
+    ShapeParameter,
+    Term,
+    term_of,
+)
 from .units import Unit
 
 
@@ -47,18 +62,61 @@ def in_the_plane(ranges: dict[str, Range]) -> Iterator[Family]:
     yield _tied("theta" if "theta" in ranges else "heading", middles, slack, corner, size)
     distance = tuple((side, f"{against} * sqrt((x - x0) ** 2 + (y - y0) ** 2)") for side, against in DRY_FRICTION)
     yield Family("cable", "friction", ("x", "y"), (Term("a", {"N": 1, "m": -1}, distance),), tuple(middles))
-    of_wheels = [
-        (action, ("wheel_x", "wheel_y")) for action in ACTIONS if action.name in OF_WHEEL and "wheel_x" in ranges
-    ]
-    for action, place in [*((action, ("x", "y")) for action in ACTIONS), *of_wheels]:
-        x, y = place
-        bump = f"exp(-(({x} - x0) ** 2 + ({y} - y0) ** 2) / s ** 2)"
-        edge = f"(0.5 + 0.5 * tanh(({x} * cos(q) + {y} * sin(q) - d) / s))"
+    at_wheels = [action for action in ACTIONS if action.name in OF_WHEEL and "wheel_x" in ranges]
+    for action, (x, y) in [*((action, "xy") for action in ACTIONS), *((one, PLACE_OF_WHEEL) for one in at_wheels)]:
         plane = tuple(term_of(action, a, v, metre) for a, v in (("a", x), ("b", y)))
-        yield Family("plane", action.name, place, plane, action.shape)
-        for name, text, own in (("bump", bump, middles), ("threshold", edge, (q, d))):
-            shape = (*own, s, *action.shape)
-            yield Family(f"{name} in the plane", action.name, place, (term_of(action, "a", text, {}),), shape)
+        yield Family("plane", action.name, (x, y), plane, action.shape)
+        yield from _spots((action,), action.name, (x, y), (*middles, s), (q, d, s))
+    yield from _spots((EAST, NORTH), "world", ("x", "y"), (*middles, s), (q, d, s))
+    yield from _waves((EAST, NORTH), "world", ("x", "y"), q, size)
+    trough = f"tanh({_beyond('x', 'y')} / s)"
+    yield Family("trough", "world", ("x", "y"), _each((EAST, NORTH), "ab", trough), (q, d, s), whole=True)
+    if "wheel_x" in ranges:
+        yield from _spots((HEIGHT,), "height", PLACE_OF_WHEEL, (*middles, s), (q, d, s))
+        yield from _waves((HEIGHT,), "height", PLACE_OF_WHEEL, q, size)
+
+
+def _beyond(x: str, y: str) -> str:
+    """How far a place is beyond a line, which is d from the origin in the direction q."""
+    return f"({x} * cos(q) + {y} * sin(q) - d)"
+
+
+def _each(actions: Sequence[Action], letters: str, text: str) -> tuple[Term, ...]:
+    """A term for each of the `actions` with the same function of the place."""
+    return tuple(term_of(action, letter, text, {}) for action, letter in zip(actions, letters, strict=True))
+
+
+def _spots(
+    actions: Sequence[Action],
+    name: str,
+    place: tuple[str, str],
+    around: tuple[ShapeParameter, ...],
+    along: tuple[ShapeParameter, ...],
+) -> Iterator[Family]:
+    """What is there around a point, on one side of a line, or along a line."""
+    x, y = place
+    functions = {
+        "bump": (f"exp(-(({x} - x0) ** 2 + ({y} - y0) ** 2) / s ** 2)", around),
+        "threshold": (f"(0.5 + 0.5 * tanh({_beyond(x, y)} / s))", along),
+        "stripe": (f"exp(-({_beyond(x, y)} / s) ** 2)", along),
+    }
+    for kind, (text, own) in functions.items():
+        terms = _each(actions, "ab"[: len(actions)], text)
+        whole = len(actions) > 1
+        yield Family(f"{kind} in the plane", name, place, terms, (*own, *actions[0].shape), whole=whole)
+
+
+def _waves(
+    actions: Sequence[Action], name: str, place: tuple[str, str], q: ShapeParameter, size: float
+) -> Iterator[Family]:
+    """What repeats along a direction of the floor, half a wave to ten over `size` [m]."""
+    x, y = place
+    numbers = tuple(np.pi / size * np.arange(1.0, 21.0))
+    k = ShapeParameter("k", {"m": -1}, numbers, 0.3 * numbers[0], 1.2 * numbers[-1])
+    phase = f"(k * ({x} * cos(q) + {y} * sin(q)))"
+    n = len(actions)
+    terms = (*_each(actions, "ab"[:n], f"sin{phase}"), *_each(actions, "cf"[:n], f"cos{phase}"))
+    yield Family("wave in the plane", name, place, terms, (q, k))
 
 
 def _taut(away: str) -> str:

@@ -14,7 +14,7 @@ from snakejax.estimation.goodness_of_fit import largest_noise_misfit
 
 from .grammar import families
 from .regression import FEWEST_CHI2, PENALTIES, Trial, form_at, named, on_grids, pruned, refined
-from .smooth_forms import smooth_of_one, smooth_of_two
+from .smooth_forms import smooth_floors, smooth_of_one, smooth_of_two
 from .terms import Family
 from .units import unit_text
 from .windows import ForceWindows
@@ -33,7 +33,7 @@ WIDER = (2.0, 4.0)
 GENERAL = {
     **{"x": "world_position", "y": "world_position", "u": "speed", "w": "speed", "theta": "heading"},
     **{"slip_speed": "slip", "slip_angle": "slip", "turn_rate": "steering_rate"},
-    **{"wheel_x": "world_position", "wheel_y": "world_position"},
+    **{"wheel_x": "world_position", "wheel_y": "world_position", "rolling_speed": "speed"},
 }
 """How results name a variable of the grammar, where they do not name it as the grammar does."""
 UNNAMED = ("r",)
@@ -157,7 +157,7 @@ def _smooth_laws(
     trials = _best_trials(windows, of_one, given)
     leading = list(dict.fromkeys((trial.family.action, trial.family.variables) for trial in trials))[:SMOOTH]
     pairs = [two for action, own in leading for two in smooth_of_two(ranges, wheel, action, own)]
-    of_two = list({(two.action, two.variables): two for two in pairs}.values())
+    of_two = [*{(two.action, two.variables): two for two in pairs}.values(), *smooth_floors(ranges)]
     trials += on_grids(windows, of_two, given)
     best_of: dict[tuple[str, tuple[str, ...]], ProposedLaw] = {}
     for law in _proposals(windows, trials, formulas + len(of_one) + len(of_two), nothing):

@@ -8,10 +8,12 @@ best. Of few knots and many, too, those are taken that predict best.
     X, Y, N, drag, dry friction,   a natural cubic spline of one variable, a Fourier series of an angle or, with a wave
     across the velocity,           number of its own, of a place or the angle of a joint;
     yaw drag, grip                 a product of splines of two variables
+    height of the floor            a product of splines of the place of a wheel
 """
 
 from collections.abc import Iterator, Sequence
 from itertools import combinations
+from math import isqrt
 
 import numpy as np
 
@@ -19,6 +21,7 @@ from .functions import wave_number
 from .terms import (
     ACTIONS,
     EAST,
+    HEIGHT,
     NORTH,
     OF_WHEEL,
     PUSH_SUFFIX,
@@ -30,7 +33,7 @@ from .terms import (
     Term,
     acting,
 )
-from .units import is_sum
+from .units import is_direction, is_sum
 
 KNOTS = (4, 6, 9, 14)
 """Numbers of knots of a spline."""
@@ -40,8 +43,8 @@ HARMONICS = 5
 """The highest harmonic of a series."""
 REPEATS = (1, 2, 3, 4, 6)
 """So many times in a turn a series in a heading repeats."""
-ANGLES = ("heading", "theta")
-"""Variables of which a force is periodic with a whole turn."""
+SIDES_OF_FLOOR = (4, 6)
+"""The same of the height of a floor, which may be uneven in several places."""
 
 
 def smooth_of_one(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]:
@@ -50,7 +53,7 @@ def smooth_of_one(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Fa
         if variable.endswith(PUSH_SUFFIX):
             continue
         for action in _actions(variable, wheel):
-            if variable in ANGLES:
+            if is_direction(variable):
                 yield from (_series(action, variable, times) for times in REPEATS)
                 continue
             for knots in KNOTS:
@@ -65,12 +68,19 @@ def smooth_of_two(
 ) -> Iterator[Family]:
     """The smooth functions of two variables of `ranges`, of which one is in `variables`, for one `action`."""
     single = [v for v in ranges if not (is_sum(v) or v.endswith(PUSH_SUFFIX))]
-    usual = [v for v in single if v not in ANGLES and v not in wheel]
+    usual = [v for v in single if not is_direction(v) and v not in wheel]
     for one, other in combinations(usual, 2):
         if {one, other} & set(variables):
             acts = [a for a in _actions(one, wheel) if a.name == action and a in _actions(other, wheel)]
             for each in acts:
                 yield _surface(each, (one, other), (ranges[one], ranges[other]))
+
+
+def smooth_floors(ranges: dict[str, Range]) -> Iterator[Family]:
+    """The smooth functions of the place of a wheel that may be the height of the floor."""
+    if "wheel_x" in ranges and "wheel_y" in ranges:
+        place, intervals = ("wheel_x", "wheel_y"), (ranges["wheel_x"], ranges["wheel_y"])
+        yield from (_surface(HEIGHT, place, intervals, side) for side in SIDES_OF_FLOOR)
 
 
 def _actions(variable: str, wheel: Sequence[str]) -> tuple[Action, ...]:
@@ -86,16 +96,16 @@ def _spline(action: Action, variable: str, interval: Range, knots: int) -> Famil
     return _through_values(action, "smooth function", (variable,), f"spline({variable}, {low}, {high}", knots)
 
 
-def _surface(action: Action, variables: tuple[str, str], intervals: tuple[Range, Range]) -> Family:
+def _surface(action: Action, variables: tuple[str, str], intervals: tuple[Range, Range], side: int = SIDE) -> Family:
     sides = (f"{v}, {i.low:.4g}, {i.high:.4g}" for v, i in zip(variables, intervals, strict=True))
-    return _through_values(action, "smooth function of two", variables, f"surface({', '.join(sides)}", SIDE**2)
+    return _through_values(action, "smooth function of two", variables, f"surface({', '.join(sides)}", side**2)
 
 
 def _through_values(action: Action, name: str, variables: tuple[str, ...], call: str, count: int) -> Family:
-    """A function through `count` values, each of which has the unit of the `action`; the first value of a grip is
-    zero, as a constant part of it is that of the tyre."""
+    """A function through `count` values, each of which has the unit of the `action`; the first value of a
+    grip or of a height is zero: a constant part of the grip is that of the tyre, and a height has no zero."""
     values = [f"c{k + 1}" for k in range(count)]
-    if action.name == "grip":
+    if action.name in ("grip", "height"):
         values[0] = "0"
     terms = []
     for k, value in enumerate(values):
@@ -103,7 +113,7 @@ def _through_values(action: Action, name: str, variables: tuple[str, ...], call:
         if value != "0":
             terms.append(Term(value, action.unit, acting(action, f"{call}, {alone})")))
     together = acting(action, f"{call}, {', '.join(values)})")
-    curvature = _curvature(count if len(variables) == 1 else SIDE, len(variables))
+    curvature = _curvature(count if len(variables) == 1 else isqrt(count), len(variables))
     curvature = curvature[count - len(terms) :, count - len(terms) :]
     return Family(name, action.name, variables, tuple(terms), whole=True, together=together, curvature=curvature)
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from snakejax.core.formula import FUNCTIONS, SMOOTH_FUNCTIONS, names_in
 from snakejax.core.parameter import own_parameters
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
-from snakejax.dynamics.law import VARIABLES, WHEEL_VARIABLES, GripLaw, Law, ResistanceLaw
+from snakejax.dynamics.law import PLACE_OF_WHEEL, VARIABLES, WHEEL_VARIABLES, FloorLaw, GripLaw, Law, ResistanceLaw
 
 _SPEED = "jnp.sqrt(motion.u**2 + motion.w**2 + 1e-12)"
 _OF_WHEEL = "sj.dynamics.wheel_variables(motion.board, wheel.wheelset, wheel, motion)"
@@ -20,10 +20,16 @@ def law_source(law: Law, beside: Sequence[str] = ()) -> str:
     fields = [(name, value, domain) for name, (value, domain) in own_parameters(law)]
     names = dict.fromkeys(name for tree in law.formulas.values() for name in names_in(tree))
     known = {name for name, _, _ in fields}
-    lines = [f"{name} = {_variable(name)}" for name in names if name not in known]
+    own = known | set(PLACE_OF_WHEEL if isinstance(law, FloorLaw) else ())
+    lines = [f"{name} = {_variable(name)}" for name in names if name not in own]
     for component, tree in law.formulas.items():
-        lines.append(f"{component} = {_code(tree, known)}")
-    if isinstance(law, GripLaw):
+        code = _code(tree, known)
+        of_place = [f"def height({', '.join(PLACE_OF_WHEEL)}):", f"    return {code}"]
+        lines += of_place if component == "height" else [f"{component} = {code}"]
+    if isinstance(law, FloorLaw):
+        method, port = "wrench(self, motion)", "Force"
+        lines.append("return sj.dynamics.weight_on_floor(height, motion)")
+    elif isinstance(law, GripLaw):
         method, port = "lateral(self, force, wheel, motion)", "LateralForce"
         lines.append("return force * grip")
     elif isinstance(law, ResistanceLaw):

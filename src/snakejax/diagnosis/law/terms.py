@@ -40,6 +40,7 @@ class Action(NamedTuple):
 
 _BEGINS = ShapeParameter("e", {"m": 1, "s": -1}, (2 * STICKING_SPEED,), 0.2 * STICKING_SPEED, 1.0)
 """The speed over which the dry friction of a wheel begins."""
+_ROLLING = "rolling_speed / sqrt(rolling_speed ** 2 + e ** 2)"
 ACTIONS = (
     Action("X", (("X", ""),), NEWTON),
     Action("Y", (("Y", ""),), NEWTON),
@@ -49,12 +50,23 @@ ACTIONS = (
     Action("across", (("X", "-w"), ("Y", "u")), DAMPING),
     Action("yaw_drag", (("N", "-r"),), YAW_DAMPING),
     Action("grip", (("grip", "-"),), {}),
-    Action("rolling", (("resistance", "rolling_speed / sqrt(rolling_speed ** 2 + e ** 2)"),), NEWTON, (_BEGINS,)),
+    Action("rolling", (("resistance", _ROLLING),), NEWTON, (_BEGINS,)),
 )
 OF_WHEEL = ("grip", "rolling")
 """Those actions that each wheel has for itself, which may depend on its own variables."""
 LOAD = Action("load", (("grip", "-axle"),), {})
 """Load goes from one axle to the other: the grip rises behind the middle by as much as it falls ahead of it."""
+FRONT, BACK = (
+    Action(f"{end} grip", (("grip", f"-0.5 * (1 {sign} axle)"),), {}) for end, sign in (("front", "+"), ("back", "-"))
+)
+"""The grip of the wheels ahead of the middle alone, and of those behind it."""
+DRAGGING = tuple(
+    Action(f"{end} rolling", (("resistance", f"0.5 * (1 {sign} axle) * {_ROLLING}"),), NEWTON, (_BEGINS,))
+    for end, sign in (("front", "+"), ("back", "-"))
+)
+"""A dry friction of the wheels ahead of the middle alone, and of those behind it, against their rolling."""
+HEIGHT = Action("height", (("height", ""),), {"m": 1})
+"""The height of the floor under each wheel, which the weight pushes down the slope."""
 PUSH_SUFFIX = "_acceleration"
 """A joint pushes the body by its acceleration: this times a function of its angle or rate is an action on N."""
 EAST, NORTH = Action("east", (("east", ""),), NEWTON), Action("north", (("north", ""),), NEWTON)

@@ -23,6 +23,12 @@ def is_sum(variable: str) -> bool:
     return variable.startswith("(")
 
 
+def is_direction(variable: str) -> bool:
+    """Whether a variable is an angle in the world, with a whole turn of which a force repeats: that of the body, or of
+    a joint, `(rotor_angle + theta)`."""
+    return variable.strip("()").split(" + ")[-1] in ("heading", "theta")
+
+
 def unit_of(variable: str) -> Unit:
     """The unit of a variable by its name: an angle, a rate, or one of `VARIABLE_UNITS`; else a pure number; of a sum
     that of its parts."""

@@ -1,12 +1,13 @@
 """The windows of a free force, reduced to what regressions on histories of force and grip need."""
 
+import ast
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from snakejax.core.formula import evaluated, parsed
-from snakejax.dynamics.law import OF_EACH_WHEEL, WHEEL_VARIABLES
+from snakejax.dynamics.law import OF_EACH_WHEEL, PLACE_OF_WHEEL, WHEEL_VARIABLES
 
 from ..latent_force.estimate import ForceEstimator, ForceSolution
 from ..latent_force.force_sensitivity import MotionSamples
@@ -20,14 +21,17 @@ body."""
 FINEST = 0.02
 """Samples nearer to each other [s] are left out: the knots of the force are five times as far apart."""
 
+NEAR = 1e-4
+"""Places so far [m] to both sides of a wheel give the slope on which it stands."""
+
 
 def variables_of(
     track: MotionSamples, arranged: Callable[[np.ndarray], np.ndarray]
-) -> tuple[dict[str, np.ndarray], tuple[str, ...], np.ndarray]:
+) -> tuple[dict[str, np.ndarray], tuple[str, ...], dict[str, np.ndarray]]:
     """What a law needs of a motion, each of the wheels ahead of the middle and of those behind it.
 
-    The variables (2, W, n), among them accelerations of joints, and the names of those of a wheel; the wrench (2, 3, W,
-    n) of a unit force along the wheels. `arranged` puts the samples of one into windows (W, n).
+    The variables (2, W, n), among them accelerations of joints, and the names of those of a wheel; the wrenches (2, 3,
+    W, n) of what acts at a wheel. `arranged` puts the samples of one into windows (W, n).
     """
     own = {name: getattr(track, name) for name in ("time", "x", "y", "heading", "theta", "u", "w", "r")}
     own |= {"speed": np.hypot(track.u, track.w), **track.inputs, **track.accelerations}
@@ -36,8 +40,11 @@ def variables_of(
         variables.pop("theta")
     for name in WHEEL_VARIABLES:
         variables[name] = np.stack([arranged(np.asarray(side)) for side in track.wheels[name]])
-    rolling = np.array([[arranged(np.asarray(part)) for part in side] for side in track.rolling])
-    return variables, WHEEL_VARIABLES, rolling
+    at_wheels = {
+        name: np.array([[arranged(np.asarray(part)) for part in side] for side in sides])
+        for name, sides in track.at_wheels.items()
+    }
+    return variables, WHEEL_VARIABLES, at_wheels
 
 
 class Fitted(NamedTuple):
@@ -54,15 +61,15 @@ class ForceWindows(NamedTuple):
     """W windows at n samples with K knots.
 
     `variables` (2, W, n) for the wheels ahead of the middle and behind it, the names of those of a `wheel`, and the
-    wrench (2, 3, W, n) of a unit force along them, `rolling`; `onto_knots`: the knots of a history (G, W, n); per
-    window the normal equations `matrix` (W, P + 5K, P + 5K), `right` of parameters, force knots and grip knots;
+    wrenches (2, 3, W, n) of what acts `at_wheels`, see `MotionSamples`; `onto_knots`: the knots of a history (G, W, n);
+    per window the normal equations `matrix` (W, P + 5K, P + 5K), `right` of parameters, force knots and grip knots;
     `square` (R,); `owner` (W,): the run; `prior_mean` and `precision` (P,) of the parameters; `theta` (W, n). `beside`:
     the parameters beside a law are those of all runs, and only the law is fitted anew where a run is left out.
     """
 
     variables: dict[str, np.ndarray]
     wheel: tuple[str, ...]
-    rolling: np.ndarray
+    at_wheels: dict[str, np.ndarray]
     onto_knots: KnotFit | KnotMeans
     matrix: np.ndarray
     right: np.ndarray
@@ -101,11 +108,12 @@ class ForceWindows(NamedTuple):
         return ForceWindows(*of_motion, *whole, prior_mean, precision, track.theta[:, pick], count)
 
     def ranges(self) -> dict[str, Range]:
-        """What was seen of each variable that varies, and of the rate at which each joint turns in the world."""
-        r = self.variables["r"]
+        """What was seen of each variable that varies, and of the angle and the rate of each joint in the world."""
         own = {name: values for name, values in self.variables.items() if name not in NOT_ALONE}
-        joints = {name: rate for name, rate in own.items() if name.endswith("_rate") and name not in self.wheel}
-        histories_of = own | {f"({name} + r)": rate + r for name, rate in joints.items()}
+        frame = "theta" if "theta" in own else "heading"
+        of_joints = [name for name in own if name.endswith(("_angle", "_rate")) and name not in self.wheel]
+        in_world = {name: frame if name.endswith("_angle") else "r" for name in of_joints}
+        histories_of = own | {f"({name} + {of})": own[name] + self.variables[of] for name, of in in_world.items()}
         ends = {name: Range(*np.percentile(values, [2, 98])) for name, values in histories_of.items()}
         return {name: interval for name, interval in ends.items() if interval.high - interval.low > 1e-6}
 
@@ -130,11 +138,13 @@ class ForceWindows(NamedTuple):
             tree = parsed(formula or "1")
             for side in (0, 1) if component in OF_EACH_WHEEL else (0,):
                 known = {name: values[side] for name, values in self.variables.items()} | wide
+                if component in ("resistance", "height"):
+                    on_side = self._at_wheels(component, tree, known, side)
+                    on_wheels = [total + one for total, one in zip(on_wheels, on_side, strict=True)]
+                    continue
                 value = np.broadcast_to(evaluated(tree, known, np), (count, W, n))
                 if component == "grip":
                     knots[:, :, 3 * K + side :: 2] = self.onto_knots(value)
-                elif component == "resistance":
-                    on_wheels = [total - value * of for total, of in zip(on_wheels, self.rolling[side], strict=True)]
                 else:
                     wrench[component] = value
         east, north = wrench.get("east", 0.0), wrench.get("north", 0.0)
@@ -142,8 +152,19 @@ class ForceWindows(NamedTuple):
         for k, name in enumerate(("X", "Y", "N")):
             total = along[k] + wrench.get(name, 0.0) + on_wheels[k]
             if isinstance(total, np.ndarray):
-                knots[:, :, k : 3 * K : 3] = self.onto_knots(total)
+                knots[:, :, k : 3 * K : 3] = self.onto_knots(np.broadcast_to(total, (count, W, n)))
         return knots
+
+    def _at_wheels(
+        self, component: str, tree: ast.expr, known: Mapping[str, np.ndarray], side: int
+    ) -> list[np.ndarray]:
+        """The wrench of a formula for the resistance to rolling of the wheels of one `side`, or for the height of the
+        floor under them."""
+        if component == "resistance":
+            return [-evaluated(tree, known, np) * part for part in self.at_wheels["resistance"][side]]
+        steep_x, steep_y = (_slope(tree, known, name) for name in PLACE_OF_WHEEL)
+        falls = zip(*(self.at_wheels[name][side] for name in ("fall_x", "fall_y")), strict=True)
+        return [-steep_x * fall_x - steep_y * fall_y for fall_x, fall_y in falls]
 
     def normal(self, histories: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The normal equations (R, G, P + T, P + T) and (R, G, P + T) of parameters and amplitudes, run by run."""
@@ -203,6 +224,12 @@ class ForceWindows(NamedTuple):
         scale = moves / np.sqrt(np.where(moves, diagonal, 1.0))
         scaled = A * scale[..., :, None] * scale[..., None, :] + 1e-12 * np.eye(size)
         return np.linalg.solve(scaled, (full * scale)[..., None])[..., 0] * scale
+
+
+def _slope(tree: ast.expr, known: Mapping[str, np.ndarray], name: str) -> np.ndarray:
+    """The derivative of a formula by the variable `name`, from its values `NEAR` to both sides."""
+    above, below = (evaluated(tree, {**known, name: known[name] + step}, np) for step in (NEAR, -NEAR))
+    return (above - below) / (2 * NEAR)
 
 
 def _quadratic(matrix: np.ndarray, slope: np.ndarray, at: np.ndarray) -> np.ndarray:

@@ -1,11 +1,13 @@
 """A form of law in words: on what it acts, how it depends on its variables, and what its letters mean."""
 
 from .terms import Family
+from .units import is_sum
 
 _VARIABLES = {
     **{"u": "the speed along the body", "w": "the speed across the body", "r": "the yaw rate", "speed": "the speed"},
     **{
         "theta": "the heading",
+        "heading": "the heading",
         "slip_speed": "the slip speed of the wheel",
         "slip_angle": "the slip angle of the wheel",
     },
@@ -25,6 +27,11 @@ ACTIONS = {
     "yaw_drag": "a resistance to yaw",
     "grip": "a change of the grip of each wheel",
     "load": "a grip that rises behind the middle as it falls ahead of it",
+    "front grip": "a change of the grip of the front wheels",
+    "back grip": "a change of the grip of the back wheels",
+    "front rolling": "a dry friction of the front wheels against their rolling, which begins over the speed e",
+    "back rolling": "a dry friction of the back wheels against their rolling, which begins over the speed e",
+    "height": "a rise of the floor under the wheels",
     "rolling": "a dry friction of each wheel against its rolling, which begins over the speed e",
 }
 """What acts, by the name of an action; a push of a joint is named after the joint."""
@@ -33,6 +40,7 @@ FUNCTIONS = {
     "linear": "in proportion to {0}",
     "square": "in proportion to the square of {0}",
     "absolute value": "in proportion to the size of {0}",
+    "round absolute value": "that grows with the size of {0}; " + _CORNER,
     "signed square": "in proportion to the square of {0}, with its sign",
     "linear and signed square": "with a part in proportion to {0} and one in proportion to its square, with its sign",
     "affine": "with a constant part and one in proportion to {0}",
@@ -54,6 +62,9 @@ FUNCTIONS = {
     "bump in the plane": "that is there around the point (x0, y0), within s",
     "threshold in the plane": "that is there on one side of a line: the line is d from the origin in the direction q,"
     " and the change takes s",
+    "stripe in the plane": "that is there along a line, within s: the line is d from the origin in the direction q",
+    "wave in the plane": "that repeats along the direction q of the floor: k is the wave number",
+    "constant": "with the same size at all times",
     "smooth function": "that is a smooth function of {0}",
     "smooth function of two": "that is a smooth function of {0} and {1}",
     "series": "that repeats with {0}, in several harmonics",
@@ -62,6 +73,7 @@ FUNCTIONS = {
 WHOLE = {
     "spring": "the pull of a spring to the point (x0, y0), k per metre",
     "hill": "the slope of a hill in the floor, or of a dip, around the point (x0, y0), of the width s",
+    "trough": "a force that changes its sign at a line, over s: the line is d from the origin in the direction q",
     "tether": "the pull of a line to the point (x0, y0): slack up to the length d, 2 k per metre beyond; " + _CORNER,
     "tether at a point": "the pull of a line from the point (x0, y0), h above the floor, on the point p ahead of the"
     " centre of the body: slack up to the length d, 2 k per metre beyond; " + _CORNER,
@@ -70,6 +82,10 @@ WHOLE = {
     "friction at a point": "the dry friction of a point of the body, p ahead of its centre and q to the left; it begins"
     " over the speed s",
     "drag at a point": "the drag of a point of the body, p ahead of its centre and q to the left",
+    "friction across at a point": "the dry friction of a wheel or a runner that does not steer, p ahead of the centre,"
+    " against motion across the body; it begins over the speed s",
+    "drag across at a point": "the drag of a wheel or a fin that does not steer, p ahead of the centre, against motion"
+    " across the body",
     "friction across": "a dry friction against motion along the direction q of the floor alone; it begins over the"
     " speed s",
     "falling friction": "a dry friction of the body that falls from a + b at rest to a above the speed v0",
@@ -90,6 +106,7 @@ def in_words(family: Family) -> str:
 
 def _variable(name: str) -> str:
     """A variable in words: `(rotor_rate + r)` is the rate at which a joint turns in the world."""
-    if name.startswith("("):
-        return f"the {name[1:].split(' + ')[0].replace('_', ' ')} plus the yaw rate"
+    if is_sum(name):
+        joint, own = name.strip("()").split(" + ")
+        return f"the {joint.replace('_', ' ')} plus {_VARIABLES[own]}"
     return _VARIABLES.get(name, f"the {name.replace('_', ' ')}")
