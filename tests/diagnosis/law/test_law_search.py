@@ -98,6 +98,22 @@ def _dragged(a: str, p: str, q: str, s: str) -> tuple[tuple[str, str], ...]:
     return tuple((side, f"{a} * {v} / {size}") for side, v in (("X", along), ("Y", across), ("N", turn)))
 
 
+def _brushed(a: str, p: str, q: str, s: str) -> tuple[tuple[str, str], ...]:
+    """Dry friction of the end of an arm p long on the rotor, which begins over the speed s."""
+    ahead, left = f"({p} * cos(rotor_angle + {q}))", f"({p} * sin(rotor_angle + {q}))"
+    along, across = f"(u - {left} * (r + rotor_rate))", f"(w + {ahead} * (r + rotor_rate))"
+    size = f"sqrt({along} ** 2 + {across} ** 2 + {s} ** 2)"
+    turn = f"({ahead} * {across} - {left} * {along})"
+    return tuple((side, f"{a} * {v} / {size}") for side, v in (("X", along), ("Y", across), ("N", turn)))
+
+
+def _blown(a: str, v0: str, q: str) -> tuple[tuple[str, str], ...]:
+    """Drag of air that moves with the speed v0 in the direction q."""
+    along, across = f"(u - {v0} * cos({q} - heading))", f"(w - {v0} * sin({q} - heading))"
+    speed = f"sqrt({along} ** 2 + {across} ** 2 + 2.5e-05)"
+    return ("X", f"{a} * {speed} * {along}"), ("Y", f"{a} * {speed} * {across}")
+
+
 def _across(a: str, q: str, s: str) -> tuple[tuple[str, str], ...]:
     """Dry friction against motion along the direction q in the world."""
     cosine, sine = f"cos({q} - heading)", f"sin({q} - heading)"
@@ -121,6 +137,7 @@ _BEGINS = "rolling_speed / sqrt(rolling_speed ** 2 + e ** 2)"
 _SPEED = "sqrt(u ** 2 + w ** 2 + 2.5e-05)"
 _DISTANCE = "sqrt((x - 0.2) ** 2 + (y + 0.3) ** 2)"
 _DOWN, _LETTERS = (("east", "0.1"), ("north", "-0.2")), (("east", "a"), ("north", "b"))
+_PUSHES = (("east", "a"), ("north", "f"))
 CASES = {
     "spring": (
         law_of(("east", "0.15 * (0.6 - x)"), ("north", "0.15 * (-0.7 - y)")),
@@ -293,6 +310,31 @@ CASES = {
             "Y = -a * tanh((w + p * r) / s); N = -a * p * tanh((w + p * r) / s)",
             {"a": (0.3, "N"), "p": (0.4, "m"), "s": (0.03, "m/s")},
         ),
+    ),
+    "brush at the end of the rotor": (
+        law_of(*_brushed("-0.5", "0.4", "0.8", "0.05")),
+        (
+            "; ".join(f"{side} = {text}" for side, text in _brushed("-a", "p", "q", "s")),
+            {"a": (0.5, "N"), "p": (0.4, "m"), "q": (0.8, "rad"), "s": (0.05, "m/s")},
+        ),
+    ),
+    "ventilation that switches on and off": (
+        law_of(*((side, f"{a} * (0.5 + 0.5 * tanh(sin(1.3 * time + 0.5) / 0.4))") for side, a in _DOWN)),
+        (
+            "; ".join(f"{side} = {a} * (0.5 + 0.5 * tanh(sin(k * time + q) / s))" for side, a in _PUSHES),
+            {"a": (0.1, "N"), "f": (-0.2, "N"), "k": (1.3, "1/s"), "q": (0.5, "rad"), "s": (0.4, "-")},
+        ),
+    ),
+    "wind": (
+        law_of(*_blown("-0.4", "0.6", "0.8")),
+        (
+            "; ".join(f"{side} = {text}" for side, text in _blown("-a", "v0", "q")),
+            {"a": (0.4, "N s^2/m^2"), "v0": (0.6, "m/s"), "q": (0.8, "rad")},
+        ),
+    ),
+    "wind on a plate": (
+        law_of(("X", "0.3 * cos(heading - 0.9) * abs(cos(heading - 0.9))")),
+        ("X = a * cos(heading - q) * abs(cos(heading - q))", {"a": (0.3, "N"), "q": (0.9, "rad")}),
     ),
     "heavy rotor on a slope": (
         law_of(("N", "0.03 * sin(rotor_angle + heading) - 0.02 * cos(rotor_angle + heading)")),

@@ -1,22 +1,27 @@
 """Forms of dry friction and drag of the body that no function of one variable says."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
+
+from snakejax.dynamics.contact import STICKING_SPEED
 
 from .terms import DAMPING, DRY_FRICTION, NEWTON, Family, Range, ShapeParameter, Term
 from .units import Unit
 
 
-def friction_forms(ranges: dict[str, Range]) -> Iterator[Family]:
-    """Those of the variables in `ranges`: none without the speed of the body."""
+def friction_forms(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]:
+    """Those of the variables in `ranges`, of which `wheel` belong to a wheel: none without the speed of the body."""
     if {"u", "speed"} <= set(ranges):
         fastest = ranges["speed"].largest
         yield from _stribeck(fastest)
+        yield _wind("theta" if "theta" in ranges else "heading", fastest)
         yield _friction_across("theta" if "theta" in ranges else "heading", fastest)
         if "r" in ranges:
             yield from _at_a_point(fastest, fastest / ranges["r"].largest)
             yield from _wheel_at_a_point(fastest, fastest / ranges["r"].largest)
+            for name in (name for name in ranges if name.endswith("_angle") and name not in wheel):
+                yield from _at_an_arm(name.removesuffix("_angle"), fastest, fastest / ranges["r"].largest)
 
 
 def _at_a_point(fastest: float, size: float) -> Iterator[Family]:
@@ -34,6 +39,22 @@ def _at_a_point(fastest: float, size: float) -> Iterator[Family]:
         yield Family(f"{name} at a point", name, ("u", "w", "r"), (Term("a", unit, formulas),), own)
 
 
+def _at_an_arm(joint: str, fastest: float, size: float) -> Iterator[Family]:
+    """Dry friction or drag of the end of an arm that a `joint` at the centre of the body turns: p long, and q beyond
+    the angle of the joint. `size` and s as in `_at_a_point`."""
+    s = ShapeParameter("s", {"m": 1, "s": -1}, (0.02 * fastest, 0.1 * fastest), 0.003 * fastest, fastest)
+    p = ShapeParameter("p", {"m": 1}, (0.3 * size, size, 2 * size), 0.0, 10 * size)
+    q = ShapeParameter("q", {"rad": 1}, tuple(np.pi * np.arange(8) / 4))
+    ahead, left = f"(p * cos({joint}_angle + q))", f"(p * sin({joint}_angle + q))"
+    along, across = f"(u - {left} * (r + {joint}_rate))", f"(w + {ahead} * (r + {joint}_rate))"
+    turn = f"({ahead} * {across} - {left} * {along})"
+    length = f" / sqrt({along} ** 2 + {across} ** 2 + s ** 2)"
+    variables = (f"{joint}_rate", f"{joint}_angle", "u", "w", "r")
+    for name, over, unit, own in (("friction", length, NEWTON, (p, q, s)), ("drag", "", DAMPING, (p, q))):
+        formulas = tuple((side, f"-{v}{over}") for side, v in (("X", along), ("Y", across), ("N", turn)))
+        yield Family(f"{name} at an arm", name, variables, (Term("a", unit, formulas),), own)
+
+
 def _wheel_at_a_point(fastest: float, size: float) -> Iterator[Family]:
     """Dry friction or drag of a wheel or a runner p ahead of the centre, which does not steer: only against motion
     across the body. `size` [m] as in `_at_a_point`; dry friction begins over the speed s."""
@@ -46,6 +67,18 @@ def _wheel_at_a_point(fastest: float, size: float) -> Iterator[Family]:
     ):
         formulas = (("Y", f"-{across}"), ("N", f"-p * {across}"))
         yield Family(f"{name} across at a point", name, ("w", "r"), (Term("a", unit, formulas),), own)
+
+
+def _wind(angle: str, fastest: float) -> Family:
+    """The drag of air that moves with the speed v0 in the direction q of the world."""
+    unit: Unit = {"m": 1, "s": -1}
+    v0 = ShapeParameter("v0", unit, tuple(fastest * part for part in (0.5, 2, 8)), 0.0, 100 * fastest)
+    q = ShapeParameter("q", {"rad": 1}, tuple(np.pi * np.arange(8) / 4))
+    along, across = f"(u - v0 * cos(q - {angle}))", f"(w - v0 * sin(q - {angle}))"
+    speed = f"sqrt({along} ** 2 + {across} ** 2 + {STICKING_SPEED**2})"
+    formulas = (("X", f"-{speed} * {along}"), ("Y", f"-{speed} * {across}"))
+    term = Term("a", {"N": 1, "s": 2, "m": -2}, formulas)
+    return Family("wind", "drag", ("speed", angle), (term,), (v0, q))
 
 
 def _friction_across(angle: str, fastest: float) -> Family:

@@ -23,6 +23,8 @@ def functions_of(variable: str, interval: Range) -> Iterator[Function]:
     if is_direction(v):
         yield Function("harmonic", ((f"sin({v})", 0), (f"cos({v})", 0)))
         yield Function("second harmonic", ((f"sin(2 * {v})", 0), (f"cos(2 * {v})", 0)))
+        q = ShapeParameter("q", {"rad": 1}, tuple(np.pi * np.arange(8) / 8))
+        yield Function("square of a cosine", ((f"cos({v} - q) * abs(cos({v} - q))", 0),), (q,))
         return
     yield Function("linear", ((v, 1),))
     yield Function("square", ((f"{v} ** 2", 2),))
@@ -44,6 +46,8 @@ def functions_of(variable: str, interval: Range) -> Iterator[Function]:
     yield Function("bump", ((f"exp(-(({v} - v0) / s) ** 2)", 0),), (v0, width))
     yield Function("peak", ((f"1 / (1 + (({v} - v0) / s) ** 2)", 0),), (v0, width))
     yield from _ramps(v, unit, interval)
+    if variable in ("x", "y", "time"):
+        yield _square_wave(v, interval)
     if variable in ("x", "y", "time") or variable.endswith("_angle"):
         yield Function("wave", ((f"sin(k * {v})", 0), (f"cos(k * {v})", 0)), (wave_number(v, interval),))
 
@@ -64,6 +68,15 @@ def _ramps(v: str, unit: Unit, interval: Range) -> Iterator[Function]:
         widths = ShapeParameter("s", unit, (0.1 * interval.largest,), 0.01 * interval.largest, interval.largest)
         yield Function("round absolute value", ((f"(sqrt({v} ** 2 + s ** 2) - s)", 1),), (widths,))
         yield Function("play", ((f"(2 * {v} + {above} - {below})", 1),), (v0, s))
+
+
+def _square_wave(v: str, interval: Range) -> Function:
+    """What is there and is not, in turns: from tile to tile, or as a ventilation that switches itself on and off."""
+    k = wave_number(v, interval)
+    k = k._replace(starts=k.starts[1:20])
+    q = ShapeParameter("q", {"rad": 1}, tuple(np.pi * np.arange(4) / 2))
+    s = ShapeParameter("s", {}, (0.3,), 0.02, 3.0)
+    return Function("square wave", ((f"(0.5 + 0.5 * tanh(sin(k * {v} + q) / s))", 0),), (k, q, s))
 
 
 def wave_number(variable: str, interval: Range) -> ShapeParameter:

@@ -75,7 +75,7 @@ def families(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]
             yield Family("sum", action.name, (one, other), parts, whole=True)
     if "x" in ranges and "y" in ranges:
         yield from in_the_plane(ranges)
-    yield from friction_forms(ranges)
+    yield from friction_forms(ranges, wheel)
     for action in DRAGGING if "axle" in wheel else ():
         yield Family("constant", action.name, ("rolling_speed",), (term_of(action, "a", "", {}),), action.shape)
 

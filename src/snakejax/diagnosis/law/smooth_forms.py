@@ -11,6 +11,7 @@ best. Of few knots and many, too, those are taken that predict best.
     height of the floor            a product of splines of the place of a wheel
 """
 
+import re
 from collections.abc import Iterator, Sequence
 from itertools import combinations
 from math import isqrt
@@ -53,14 +54,34 @@ def smooth_of_one(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Fa
         if variable.endswith(PUSH_SUFFIX):
             continue
         for action in _actions(variable, wheel):
-            if is_direction(variable):
-                yield from (_series(action, variable, times) for times in REPEATS)
-                continue
-            for knots in KNOTS:
-                yield _spline(action, variable, interval, knots)
-            if variable in ("x", "y") or (variable.endswith("_angle") and variable not in wheel):
-                shape = (wave_number(variable, interval),)
-                yield _series(action, f"k * {variable}", 1, shape)._replace(variables=(variable,))
+            yield from _of_one(action, variable, interval, wheel)
+        if variable in WORLD_VARIABLES:
+            sides = (_of_one(action, variable, interval, wheel) for action in (EAST, NORTH))
+            yield from (_in_world(east, north) for east, north in zip(*sides, strict=True))
+
+
+def _of_one(action: Action, variable: str, interval: Range, wheel: Sequence[str]) -> Iterator[Family]:
+    """The smooth functions of one variable for one `action`."""
+    if is_direction(variable):
+        yield from (_series(action, variable, times) for times in REPEATS)
+        return
+    for knots in KNOTS:
+        yield _spline(action, variable, interval, knots)
+    if variable in ("x", "y", "time") or (variable.endswith("_angle") and variable not in wheel):
+        shape = (wave_number(variable, interval),)
+        yield _series(action, f"k * {variable}", 1, shape)._replace(variables=(variable,))
+
+
+def _in_world(east: Family, north: Family) -> Family:
+    """A force in the world each side of which is a function of its own: the values of `north` get other letters."""
+
+    def own(text: str) -> str:
+        return re.sub(r"\b[cs](?=\d)", lambda letter: {"c": "f", "s": "g"}[letter[0]], text)
+
+    terms = (*east.terms, *(term._replace(amplitude=own(term.amplitude)) for term in north.terms))
+    together = (*east.together, *((component, own(formula)) for component, formula in north.together))
+    curvature = None if east.curvature is None else np.kron(np.eye(2), east.curvature)
+    return east._replace(action="world", terms=terms, together=together, curvature=curvature)
 
 
 def smooth_of_two(

@@ -53,9 +53,11 @@ FUNCTIONS = {
     "falling ramp": "that is zero above v0 and grows as {0} falls below it; " + _CORNER,
     "two ramps": "that is zero from -v0 to v0 and grows with the size of {0} beyond; " + _CORNER,
     "play": "that is zero from -v0 to v0, and in proportion to {0} beyond, with its sign; " + _CORNER,
+    "square wave": "that is there and is not, in turns, as {0} grows: k is the wave number; the change takes s / k",
     "wave": "that repeats with {0}: k is the wave number",
     "harmonic": "that repeats with each turn of {0}",
     "second harmonic": "that repeats with each half turn of {0}",
+    "square of a cosine": "that goes with the square of the cosine of {0} less q, with its sign, as of wind on a plate",
     "product": "in proportion to {0} times {1}",
     "sum": "with a part in proportion to {0} and one in proportion to {1}",
     "plane": "that changes in proportion to the place, {0} and {1}",
@@ -86,6 +88,11 @@ WHOLE = {
     " against motion across the body; it begins over the speed s",
     "drag across at a point": "the drag of a wheel or a fin that does not steer, p ahead of the centre, against motion"
     " across the body",
+    "friction at an arm": "the dry friction of the end of an arm that the {0} turns, p long and q beyond its angle; it"
+    " begins over the speed s",
+    "drag at an arm": "the drag of the end of an arm that the {0} turns, p long and q beyond its angle",
+    "wind": "the drag of the air, as the square of the speed against it: the air moves with the speed v0 in the"
+    " direction q",
     "friction across": "a dry friction against motion along the direction q of the floor alone; it begins over the"
     " speed s",
     "falling friction": "a dry friction of the body that falls from a + b at rest to a above the speed v0",
@@ -98,7 +105,7 @@ WHOLE = {
 def in_words(family: Family) -> str:
     """What a form of law says, without a full stop."""
     if family.name in WHOLE:
-        return WHOLE[family.name]
+        return WHOLE[family.name].format(family.variables[0].removesuffix("_rate"))
     variables = [_variable(name) for name in family.variables]
     action = ACTIONS.get(family.action, f"a {family.action}")
     return f"{action} {FUNCTIONS[family.name].format(*variables)}"
