@@ -22,11 +22,11 @@ from .vehicle import AbstractVehicle, Wheelset
 if TYPE_CHECKING:
     from .model import Model
 
-COMPONENTS = ("X", "Y", "N", "east", "north", "grip", "resistance", "height")
+COMPONENTS = ("X", "Y", "N", "east", "north", "grip", "lateral", "resistance", "height")
 """What a law may set: force along and across the body [N], yaw moment [N m], force along the axes of the world [N], the
-factor on the lateral force of each wheel [-], a force on each wheel against its rolling forward [N], or the height of
-the floor under each wheel [m]."""
-OF_EACH_WHEEL = ("grip", "resistance", "height")
+factor on the lateral force of each wheel [-], a force on each wheel, beside that of its tyre, against its lateral slip
+or against its rolling forward [N], or the height of the floor under each wheel [m]."""
+OF_EACH_WHEEL = ("grip", "lateral", "resistance", "height")
 """The components that each wheel has for itself: they may depend on `WHEEL_VARIABLES`, and are set alone."""
 PLACE_OF_WHEEL = ("wheel_x", "wheel_y")
 """The variables of a wheel that say where it stands; the height of a floor depends on no others."""
@@ -35,7 +35,7 @@ PLACE_OF_WHEEL = ("wheel_x", "wheel_y")
 VARIABLES = ("time", "x", "y", "heading", "theta", "u", "w", "r", "speed")
 """The variables of any vehicle, see `Motion`; `speed` is that of the body. Those of its joints come beside."""
 WHEEL_VARIABLES = ("slip_speed", "slip_angle", "rolling_speed", "wheel_x", "wheel_y", "turn_rate", "axle")
-"""The variables of one wheel, on which its grip and its resistance may depend, see `wheel_variables`."""
+"""The variables of one wheel, on which what acts at it may depend, see `wheel_variables`."""
 
 _KNOWN = {*VARIABLES, *WHEEL_VARIABLES}
 
@@ -89,6 +89,13 @@ class GripLaw(Law, LateralForce):
         return force * _of_wheel(self, "grip", wheel, motion)
 
 
+class LateralLaw(Law, LateralForce):
+    """A force on each wheel against its lateral slip, beside that of its tyre."""
+
+    def lateral(self, force: Scalar, wheel: Wheel, motion: Motion) -> Scalar:
+        return force + _of_wheel(self, "lateral", wheel, motion)
+
+
 class ResistanceLaw(Law, RollingForce):
     """A force on each wheel against its rolling forward."""
 
@@ -122,7 +129,7 @@ def variables_of(motion: Motion) -> dict[str, Scalar]:
 
 
 def wheel_variables(board: AbstractVehicle, wheelset: Wheelset, wheel: Wheel, motion: Motion) -> dict[str, Scalar]:
-    """What the grip and the resistance of a `wheel` of `board` may depend on beside.
+    """What acts at a `wheel` of `board` may depend on these beside.
 
     Its lateral slip speed [m/s], slip angle [rad] and rolling speed [m/s]; where it stands on the floor, `wheel_x` and
     `wheel_y` [m]; the rate [rad/s] at which it turns on the floor, r plus that of its steering; and `axle`, 1 ahead of
@@ -174,7 +181,7 @@ def law_class(expression: str, given: tuple[LawParameter, ...], description: str
     for one in given:
         if one.name not in named:
             raise InputError(f"`{expression}` has no parameter `{one.name}`", "expression", "leave it out")
-    kinds: dict[str, type] = {"grip": GripLaw, "resistance": ResistanceLaw, "height": FloorLaw}
+    kinds: dict[str, type] = {"grip": GripLaw, "lateral": LateralLaw, "resistance": ResistanceLaw, "height": FloorLaw}
     bases = tuple(kinds[component] for component in formulas if component in kinds) or (ForceLaw,)
     fields: dict[str, Any] = {p.name: param(p.unit, low=p.low, high=p.high, default=p.default) for p in given}
     own = {

@@ -24,11 +24,20 @@ from snakejax.estimation.discrepancy.segment_dynamics import BODY, FORCE
 from snakejax.estimation.discrepancy.segments import Segments
 from snakejax.estimation.fit_journal import keep_fits
 
-NAMES = ("tyre.D", "effects.push.a", "effects.north.a", "effects.grip.a", "effects.rolling.a", "effects.height.a")
+NAMES = (
+    "tyre.D",
+    "effects.push.a",
+    "effects.north.a",
+    "effects.grip.a",
+    "effects.rolling.a",
+    "effects.height.a",
+    "effects.lateral.a",
+)
 DISCREPANCY = Discrepancy(np.array([3e-4, 3e-4, 1e-3]), np.array([5e-4, 5e-4, 1.5e-3]), 0.2, np.full(3, 0.05), 0.6)
 LAWS = {
     **{"push": "X = a; N = 0.3 * a", "north": "north = a", "grip": "grip = 1 - a", "rolling": "resistance = a"},
     "height": "height = a * wheel_x * wheel_y",
+    "lateral": "lateral = a",
 }
 
 
@@ -39,10 +48,10 @@ def problem() -> tuple[Search, Linear]:
     laws = {name: law_class(text, (LawParameter("a", "N"),))() for name, text in LAWS.items()}
     model = Model(case.board, Pacejka(8.0, 1.3, 0.9, 0.2), "free", OrderedDict(laws))
     segments = Segments(model, case.runs, NAMES)
-    values, z = np.array([0.9, *np.zeros(5)]), segments.guess()
+    values, z = np.array([0.9, *np.zeros(6)]), segments.guess()
     z[:, -FORCE:] = np.random.default_rng(0).normal(size=(len(z), FORCE)) * 0.01
     data = segment_data(segments.cut, segments.linearise(values, z), z)
-    priors = CandidateModel(model, NAMES, values, np.ones(6), OrderedDict(), {}, tuple(range(6)), (0,), ())
+    priors = CandidateModel(model, NAMES, values, np.ones(7), OrderedDict(), {}, tuple(range(7)), (0,), ())
     search = Search(segments, priors, SimpleNamespace())  # type: ignore[arg-type]
     gram, _ = gram_matrices(data, DISCREPANCY)
     return search, Linear(Point(values, z, DISCREPANCY, ()), data, gram, search.subsets(values, gram.sum(axis=0)))
@@ -57,6 +66,7 @@ FAMILIES = {
     "grip": (term(("grip", "-1")), 1e-6),
     # The wheels turn with the steering, which is known at the middle of a segment here.
     "rolling": (term(("resistance", "1")), 0.02),
+    "lateral": (term(("lateral", "1")), 0.02),
     "height": (term(("height", "wheel_x * wheel_y")), 0.02),
     # It turns with the board, which is known at the middle of a segment here.
     "north": (term(("north", "1")), 0.02),

@@ -49,16 +49,18 @@ def _of_wheels(own: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     angle = axle * own["steering_angle"]
     rolling_speed = own["u"] * np.cos(angle) + (own["w"] + 0.5 * axle * own["r"]) * np.sin(angle)
     turn_rate = own["r"] + axle * own["steering_rate"]
-    return place | {"turn_rate": turn_rate, "axle": axle, "rolling_speed": rolling_speed}
+    slip_speed = (own["w"] + 0.5 * axle * own["r"]) * np.cos(angle) - own["u"] * np.sin(angle)
+    return place | {"turn_rate": turn_rate, "axle": axle, "rolling_speed": rolling_speed, "slip_speed": slip_speed}
 
 
 def _at_wheels(own: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The wrenches (2, 3, W, n) of a unit force along each of these wheels, and of a load of 30 N on a slope."""
     c, s = np.cos(own["theta"]), np.sin(own["theta"])
-    sides: dict[str, list[list[np.ndarray]]] = {"resistance": [], "fall_x": [], "fall_y": []}
+    sides: dict[str, list[list[np.ndarray]]] = {n: [] for n in ("resistance", "lateral", "fall_x", "fall_y")}
     for axle in (1.0, -1.0):
-        steered = np.cos(axle * own["steering_angle"]), np.sin(axle * own["steering_angle"])
-        for name, X, Y in (("resistance", *steered), ("fall_x", 30 * c, -30 * s), ("fall_y", 30 * s, 30 * c)):
+        along, across = np.cos(axle * own["steering_angle"]), np.sin(axle * own["steering_angle"])
+        of_wheel = (("resistance", along, across), ("lateral", -across, along))
+        for name, X, Y in (*of_wheel, ("fall_x", 30 * c, -30 * s), ("fall_y", 30 * s, 30 * c)):
             sides[name].append([X, Y, 0.5 * axle * Y])
     return {name: np.array(of_sides) for name, of_sides in sides.items()}
 
@@ -74,7 +76,7 @@ def windows_of(made: Family, seed: int = 1, noise: float = 1.0) -> ForceWindows:
     owner, size = np.repeat(np.arange(RUNS), OF_RUN), np.zeros(PARAMETERS)
     square = np.zeros(RUNS)
     normal_equations = (zeros, zeros[:, 0], square, owner, size, size)
-    wheel = ("wheel_x", "wheel_y", "turn_rate", "axle", "rolling_speed")
+    wheel = ("wheel_x", "wheel_y", "turn_rate", "axle", "rolling_speed", "slip_speed")
     variables |= _of_wheels(own)
     bare = ForceWindows(variables, wheel, _at_wheels(own), onto_knots, *normal_equations, own["theta"], W * 150)
     history = bare.histories(made, {})[0].sum(axis=0)
@@ -335,6 +337,10 @@ CASES = {
     "wind on a plate": (
         law_of(("X", "0.3 * cos(heading - 0.9) * abs(cos(heading - 0.9))")),
         ("X = a * cos(heading - q) * abs(cos(heading - q))", {"a": (0.3, "N"), "q": (0.9, "rad")}),
+    ),
+    "tyres that slide with a dry friction": (
+        law_of(("lateral", "0.4 * slip_speed / sqrt(slip_speed ** 2 + 0.0004)")),
+        ("lateral = a * slip_speed / sqrt(slip_speed ** 2 + e ** 2)", {"a": (0.4, "N"), "e": (0.02, "m/s")}),
     ),
     "heavy rotor on a slope": (
         law_of(("N", "0.03 * sin(rotor_angle + heading) - 0.02 * cos(rotor_angle + heading)")),

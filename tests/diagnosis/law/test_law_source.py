@@ -29,6 +29,10 @@ LAWS = {
         "resistance = (a + b * abs(steering_angle) + c * wheel_x) * tanh(rolling_speed / 0.01)",
         {"a": ("N", 0.1), "b": ("N/rad", 0.2), "c": ("N/m", 0.1)},
     ),
+    "lateral": (
+        "lateral = (a + b * abs(rolling_speed)) * slip_speed / sqrt(slip_speed ** 2 + e ** 2)",
+        {"a": ("N", 0.3), "b": ("N s/m", 0.2), "e": ("m/s", 0.02)},
+    ),
     "height": (
         "height = a * sin(3 * wheel_x) + b * wheel_x * wheel_y + c",
         {"a": ("m", 0.003), "b": ("1/m", 0.002), "c": ("m", 0.1)},

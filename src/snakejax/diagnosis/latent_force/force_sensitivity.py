@@ -23,7 +23,7 @@ from .piecewise_force import SPACING, FreeForce, FreeGrip
 ACCURACY = Accuracy(rtol=1e-6, atol=1e-8, max_steps=6000, derivative="forward")
 """Finer than windows otherwise need: the steps of the solver must not jump over a knot."""
 
-AT_WHEEL = ("resistance", "fall_x", "fall_y")
+AT_WHEEL = ("resistance", "lateral", "fall_x", "fall_y")
 """What acts at a wheel, see `MotionSamples`."""
 
 
@@ -46,8 +46,8 @@ class MotionSamples(NamedTuple):
     """Variables of a wheel, see `wheel_variables`: the mean of those ahead of the middle, and of those behind it."""
     at_wheels: dict[str, tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]]
     """The wrench of what acts at each wheel, the sum of those ahead, and of those behind: a unit force forward along
-    it, `resistance` [-, -, m], and its weight on a floor that falls by 1 along x or y, `fall_x`, `fall_y` [N, N,
-    N m]."""
+    it, `resistance`, or to its left, `lateral` [-, -, m], and its weight on a floor that falls by 1 along x or y,
+    `fall_x`, `fall_y` [N, N, N m]."""
 
 
 class ForceLinearisation(NamedTuple):
@@ -123,4 +123,5 @@ def _at_wheel(board: AbstractVehicle, wheelset: Wheelset, wheel: Wheel, motion: 
     Y, X = sine_cosine(at.angle + wheel.joint.angle)
     load, none = board.load(wheelset) + jnp.zeros_like(motion.u), jnp.zeros_like(motion.u)
     falls = (force_at_wheel(board, wheelset, motion, *force) for force in ((load, none), (none, load)))
-    return dict(zip(AT_WHEEL, ((X, Y, at.x * Y - at.y * X), *falls), strict=True))
+    along, across = (X, Y, at.x * Y - at.y * X), (-Y, X, at.x * X + at.y * Y)
+    return dict(zip(AT_WHEEL, (along, across, *falls), strict=True))

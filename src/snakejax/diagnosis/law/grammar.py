@@ -5,14 +5,22 @@ A law is a sum of terms, each an amplitude times a product of variables and one 
     action                         function of a variable v
     X, Y, N, a force in the world  v, v^2, v |v|, v and v |v|, 1 and v, tanh(v / s), tanh((v / s)^2), a threshold, a
     drag, dry friction, force      bump, a peak, a ramp from a stop on, from two stops on, a line with play, sin and cos
-    across the velocity, yaw       of k v, a product of two variables,
-    drag, grip, rolling friction   in the plane a spring to a point, a tether to a point, also from a height and to a
-    of each wheel, load from axle  point of the body, a plane, a bump, a threshold, a stripe, a wave along a direction,
-    to axle, grip or rolling       a trough, the slope of a hill, friction in proportion to the distance from a point (a
-    friction of one axle, height   cable dragged along), dry friction that falls with the speed (Stribeck), along the
-    of the floor under each        velocity or each axis, dry friction or drag of a point of the body, also of a wheel
-    wheel, push of a joint         there that does not steer, dry friction across a direction
-                                   (a push is a yaw moment, the acceleration of a joint times a function of that joint)
+    across the velocity, yaw       of k v, what is there and is not in turns, a product of two variables;
+    drag, grip, rolling friction   in the plane a bump, a threshold, a stripe, a plane
+    of each wheel
+
+    force in the world             in the plane also a spring to a point, a tether, also from a height and to a point of
+                                   the body, the slope of a hill, a trough, a wave along a direction
+    dry friction, drag             of the body, in proportion to the distance from a point (a cable dragged along), that
+                                   falls with the speed (Stribeck), across a direction, in wind; of a point of the body,
+                                   of a wheel there that does not steer, of the end of an arm that a joint turns
+    grip and rolling friction of   functions of joints and of the wheel; for the grip also of other variables, as a load
+    one axle                       that goes from axle to axle
+    sliding friction of each       a constant
+    wheel
+    height of the floor under      in the plane a bump, a threshold, a stripe, a wave along a direction
+    each wheel
+    push of a joint                a yaw moment, the acceleration of a joint times a function of that joint
 
 A variable is one of a motion, or the angle or the rate of a joint in the world, `(rotor_rate + r)`.
 Where no such form is good enough, see `smooth_forms`.
@@ -35,6 +43,7 @@ from .terms import (
     NORTH,
     OF_WHEEL,
     PUSH_SUFFIX,
+    SLIDING,
     WORLD_VARIABLES,
     Action,
     Family,
@@ -76,8 +85,9 @@ def families(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]
     if "x" in ranges and "y" in ranges:
         yield from in_the_plane(ranges)
     yield from friction_forms(ranges, wheel)
-    for action in DRAGGING if "axle" in wheel else ():
-        yield Family("constant", action.name, ("rolling_speed",), (term_of(action, "a", "", {}),), action.shape)
+    for action in (*DRAGGING, SLIDING) if "axle" in wheel else ():
+        variable = "slip_speed" if action is SLIDING else "rolling_speed"
+        yield Family("constant", action.name, (variable,), (term_of(action, "a", "", {}),), action.shape)
 
 
 def _of_axles(variable: str, wheel: Sequence[str]) -> tuple[Action, ...]:

@@ -6,7 +6,16 @@ from collections.abc import Sequence
 from snakejax.core.formula import FUNCTIONS, SMOOTH_FUNCTIONS, names_in
 from snakejax.core.parameter import own_parameters
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
-from snakejax.dynamics.law import PLACE_OF_WHEEL, VARIABLES, WHEEL_VARIABLES, FloorLaw, GripLaw, Law, ResistanceLaw
+from snakejax.dynamics.law import (
+    PLACE_OF_WHEEL,
+    VARIABLES,
+    WHEEL_VARIABLES,
+    FloorLaw,
+    GripLaw,
+    LateralLaw,
+    Law,
+    ResistanceLaw,
+)
 
 _SPEED = "jnp.sqrt(motion.u**2 + motion.w**2 + 1e-12)"
 _OF_WHEEL = "sj.dynamics.wheel_variables(motion.board, wheel.wheelset, wheel, motion)"
@@ -32,6 +41,9 @@ def law_source(law: Law, beside: Sequence[str] = ()) -> str:
     elif isinstance(law, GripLaw):
         method, port = "lateral(self, force, wheel, motion)", "LateralForce"
         lines.append("return force * grip")
+    elif isinstance(law, LateralLaw):
+        method, port = "lateral(self, force, wheel, motion)", "LateralForce"
+        lines.append("return force + lateral")
     elif isinstance(law, ResistanceLaw):
         method, port = "resistance(self, wheel, motion)", "RollingForce"
         lines.append("return jnp.zeros_like(wheel.rolling) + resistance")

@@ -138,7 +138,7 @@ class ForceWindows(NamedTuple):
             tree = parsed(formula or "1")
             for side in (0, 1) if component in OF_EACH_WHEEL else (0,):
                 known = {name: values[side] for name, values in self.variables.items()} | wide
-                if component in ("resistance", "height"):
+                if component in ("lateral", "resistance", "height"):
                     on_side = self._at_wheels(component, tree, known, side)
                     on_wheels = [total + one for total, one in zip(on_wheels, on_side, strict=True)]
                     continue
@@ -158,10 +158,10 @@ class ForceWindows(NamedTuple):
     def _at_wheels(
         self, component: str, tree: ast.expr, known: Mapping[str, np.ndarray], side: int
     ) -> list[np.ndarray]:
-        """The wrench of a formula for the resistance to rolling of the wheels of one `side`, or for the height of the
-        floor under them."""
-        if component == "resistance":
-            return [-evaluated(tree, known, np) * part for part in self.at_wheels["resistance"][side]]
+        """The wrench of a formula for a force against the slip or the rolling of the wheels of one `side`, or for the
+        height of the floor under them."""
+        if component != "height":
+            return [-evaluated(tree, known, np) * part for part in self.at_wheels[component][side]]
         steep_x, steep_y = (_slope(tree, known, name) for name in PLACE_OF_WHEEL)
         falls = zip(*(self.at_wheels[name][side] for name in ("fall_x", "fall_y")), strict=True)
         return [-steep_x * fall_x - steep_y * fall_y for fall_x, fall_y in falls]

@@ -32,6 +32,8 @@ ACTIONS = {
     "front rolling": "a dry friction of the front wheels against their rolling, which begins over the speed e",
     "back rolling": "a dry friction of the back wheels against their rolling, which begins over the speed e",
     "height": "a rise of the floor under the wheels",
+    "sliding": "a dry friction of each wheel against its lateral slip, beside the force of its tyre, which begins over"
+    " the speed e",
     "rolling": "a dry friction of each wheel against its rolling, which begins over the speed e",
 }
 """What acts, by the name of an action; a push of a joint is named after the joint."""
