@@ -425,6 +425,13 @@ def test_a_fit_that_stops_on_its_way_is_followed(design) -> None:
     assert not short.converged and short.samples * (short.misfit - whole.misfit) > 10
     found = continue_to_convergence(problem, short, RUNS)
     assert found.converged and found.samples * (found.misfit - whole.misfit) < 0.1
+    # A goal that eight such restarts do not reach ends it after the first of them.
+    calls = []
+    with pytest.MonkeyPatch.context() as patch:
+        fit = problem.fit
+        patch.setattr(type(problem), "fit", lambda self, *args, **how: calls.append(args) or fit(*args, most=1, **how))
+        continue_to_convergence(problem, short, RUNS, goal=whole.misfit - 100)
+    assert len(calls) == 1
     stopped = found._replace(converged=False)
     assert has_converged(problem, stopped, RUNS) and not has_converged(problem, short, RUNS)
 

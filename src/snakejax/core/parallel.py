@@ -2,9 +2,15 @@
 
 import contextvars
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any
+from typing import Any, TypeVar
+
+Item = TypeVar("Item")
+Value = TypeVar("Value")
+
+WORKERS = 2
+"""Threads side by side: what they do uses several cores by itself, or the memory that all cores share."""
 
 
 def cores() -> int:
@@ -18,3 +24,10 @@ class ContextThreads(ThreadPoolExecutor):
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future:
         """Schedule `fn(*args, **kwargs)` in a copy of the present context."""
         return super().submit(contextvars.copy_context().run, fn, *args, **kwargs)
+
+
+def in_threads(function: Callable[[Item], Value], items: Iterable[Item]) -> list[Value]:
+    """The values of `function` for `items`, in their order, computed in `WORKERS` threads, or as many as there are
+    cores."""
+    with ContextThreads(min(WORKERS, cores())) as threads:
+        return list(threads.map(function, items))

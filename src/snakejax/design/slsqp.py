@@ -8,10 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy import optimize
 
+from snakejax.core.parallel import WORKERS
 from snakejax.core.progress import Phase, Progress, ProgressEvent
 
-WORKERS = 2
-"""Minimisations that run in parallel threads."""
 FAILED = 1e6
 """Cost and residual of a point whose simulation fails, so large that the line search rejects the point."""
 

@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from snakejax.core.errors import FitError
-from snakejax.core.parallel import ContextThreads
+from snakejax.core.parallel import in_threads
 from snakejax.core.parameter import short_name
 from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
 from snakejax.recording.run import Run
 
-from .least_squares import THREADS
 from .linearisation import domains_of, project_out_starts
 from .many_runs import MANY
 from .multiple_shooting import LENGTH, Windows, WindowSolution
@@ -153,24 +152,24 @@ def fit_windows(windows: Windows, values: Mapping[str, float], free: Sequence[st
     """The better of two fits of `windows`: from `values`, and from the tyre force times `WEAKER` if it is free."""
     force = [n for n in free if n.startswith("tyre.") and n.rsplit(".", 1)[-1] in ("D", "k_s")]
     weaker = {n: v * WEAKER if n in force else v for n, v in values.items()}
-    with ContextThreads() as pool:
-        return min(pool.map(lambda start: windows.settle(start, free), (values, weaker)), key=lambda s: s.cost)
+    return min(in_threads(lambda start: windows.settle(start, free), (values, weaker)), key=lambda s: s.cost)
 
 
 def continue_to_convergence(
-    problem: Problem, solution: Solution, runs: Sequence[int], threshold: float = np.inf
+    problem: Problem, solution: Solution, runs: Sequence[int], threshold: float = np.inf, goal: float = np.inf
 ) -> Solution:
     """Restart the fit from `solution` until it converges or a restart lowers chi^2 by at most `WORTHWHILE`.
 
     Along a narrow curved valley each step is short; a fit that stops there has standard errors that are too small.
+    `goal`: a fit whose misfit would still be above it after `ROUNDS` restarts like the last one is of no use, and ends.
     """
-    for _ in range(ROUNDS):
+    for left in reversed(range(ROUNDS)):
         if solution.converged:
             break
         further = problem.fit(solution.values, solution.free, runs, solution.start, threshold=threshold)
         improvement = solution.samples * (solution.misfit - further.misfit)
         solution = best_of(solution, further)
-        if not improvement > WORTHWHILE:
+        if not improvement > max(WORTHWHILE, solution.samples * (solution.misfit - goal) / max(left, 1)):
             break
     return solution
 
@@ -271,9 +270,8 @@ def inconsistent_derivative(problem: Problem, solution: Solution, runs: Sequence
             error = np.sqrt(((change - step * column) ** 2).sum())
         return not error < norm / 2
 
-    with ContextThreads(THREADS) as pool:
-        checked = zip(solution.loose, pool.map(is_inconsistent, solution.loose), strict=True)
-        return [name for name, inconsistent in checked if inconsistent]
+    checked = zip(solution.loose, in_threads(is_inconsistent, solution.loose), strict=True)
+    return [name for name, inconsistent in checked if inconsistent]
 
 
 def with_true_errors(problem: Problem, solution: Solution, runs: Sequence[int]) -> Solution:

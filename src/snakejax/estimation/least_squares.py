@@ -1,6 +1,5 @@
 """Least squares over whole runs: the fit by Levenberg-Marquardt, of many runs with their start states eliminated."""
 
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import equinox as eqx
@@ -8,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from snakejax.core.parallel import WORKERS, in_threads
 from snakejax.dynamics.model import Model
 from snakejax.simulation.integrate import Accuracy
 
@@ -21,8 +21,6 @@ from .many_runs import MANY, Ending, solve_many, solve_starts
 INVERSE_DAMPING = 30.0
 """The first step of a fit is damped by the norms of the columns of the Jacobian over this number: of a single variable
 it is 1 / (1 + 1 / 900) of the Gauss-Newton step."""
-THREADS = 2
-"""Threads that linearise many runs in parallel."""
 
 
 def _float64(number: float | Array) -> Array:
@@ -78,7 +76,7 @@ _linearise = KeptProgram(linearise, Linearised)
 def linearise_in_threads(
     model: Model, at: Variables, batch: Batch, runs: list[int], accuracy: Accuracy, z: np.ndarray, starts: np.ndarray
 ) -> Linearised:
-    """`linearise` of the `runs`, shared by `THREADS` threads; of no runs it compiles the program.
+    """`linearise` of the `runs`, shared by `WORKERS` threads; of no runs it compiles the program.
 
     The runs take different time, so that there are more shares than threads.
     """
@@ -88,11 +86,10 @@ def linearise_in_threads(
         done = _linearise(model, at, batch, order, count, z, starts, accuracy)
         return Linearised(*(np.asarray(leaf) for leaf in done))
 
-    if len(runs) < THREADS:
+    if len(runs) < WORKERS:
         return share(runs)
-    count = min(len(runs), 2 * THREADS)
-    with ThreadPoolExecutor(THREADS) as pool:
-        shares = list(pool.map(share, [runs[k::count] for k in range(count)]))
+    count = min(len(runs), 2 * WORKERS)
+    shares = in_threads(share, [runs[k::count] for k in range(count)])
     return Linearised(*(sum(parts[1:], parts[0]) for parts in zip(*shares, strict=True)))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from snakejax.core.autocorrelation import memory
-from snakejax.core.parallel import ContextThreads
+from snakejax.core.parallel import in_threads
 from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
 
 from .fit_record import Fit
@@ -26,8 +26,6 @@ ENOUGH = 0.01
 """A refit stops where a step is expected to lower chi^2 by less."""
 LEVERAGE = 0.99
 """Largest part of the residual of a block that counts as taken away by the fit."""
-WORKERS = 2
-"""Refits at a time."""
 
 
 class Bootstrap(NamedTuple):
@@ -82,8 +80,7 @@ def bootstrap(fit: Fit, count: int = 200, seed: int = 0, progress: Progress = no
         progress(ProgressEvent(Phase.BOOTSTRAP, done=len(done), total=count))
         return solution
 
-    with ContextThreads(WORKERS) as pool:
-        refits = [solution for solution in pool.map(refit, range(count)) if solution.converged]
+    refits = [solution for solution in in_threads(refit, range(count)) if solution.converged]
     values = {name: np.array([solution.values[name] for solution in refits]) for name in best.free}
     return Bootstrap(values, count - len(refits))
 

@@ -181,7 +181,7 @@ def test_an_exact_law_leaves_only_noise_in_windows_and_in_whole_runs(
     )
     solutions, tried = iter(misfits), []
 
-    def fitted_laws(case, noise, like, effects, missing, laws):
+    def fitted_laws(case, noise, like, effects, missing, laws, goal=np.inf):
         tried.extend(laws[0].family.variables)
         solution = SimpleNamespace(misfit=next(solutions), samples=10_000, loose=())
         return SimpleNamespace(problem=None, train=[]), SimpleNamespace(solution=solution)
@@ -190,7 +190,8 @@ def test_an_exact_law_leaves_only_noise_in_windows_and_in_whole_runs(
     monkeypatch.setattr(exact_laws, "wider", lambda windows, law: [])
     monkeypatch.setattr(exact_laws, "accept_addition", lambda candidate_set, before, after: True)
     monkeypatch.setattr(exact_laws, "run_misfits", lambda problem, solution, train: np.ones(0))
-    like: Any = SimpleNamespace(candidate_set=None, step=SimpleNamespace(effects=()))
+    base = SimpleNamespace(samples=10_000)
+    like: Any = SimpleNamespace(candidate_set=None, step=SimpleNamespace(effects=(), solution=base))
     force = cast(Any, SimpleNamespace(windows=SimpleNamespace(samples=10_000), laws=laws))
     case, noise = cast(Any, None), cast(Any, None)
     added = exact_laws.exact_law(case, noise, like, force, no_progress)

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from snakejax.core.parallel import ContextThreads, cores
+from snakejax.core.parallel import in_threads
 from snakejax.core.parameter import parameters, with_parameters
 from snakejax.dynamics.model import Model
 from snakejax.estimation.batch import Batch
@@ -25,7 +25,7 @@ from snakejax.estimation.fit_journal import kept_fit
 from snakejax.estimation.linearisation import Variables, domains_of
 from snakejax.estimation.problem import DEPENDENT, Problem
 
-from ..selection.candidates import WORKERS, CandidateSet
+from ..selection.candidates import CandidateSet
 from .force_sensitivity import ForceLinearisation, MotionSamples, linearise_in_force
 from .gaussian_process import FIRST, Normal, Posterior, Prior, Window, fitted_prior, observable_components, posterior
 from .piecewise_force import SPACING
@@ -123,8 +123,7 @@ class ForceEstimator(eqx.Module):
             return jax.tree.map(lambda leaf: np.asarray(leaf)[: len(numbers)], done)
 
         chunks = [np.arange(k, min(k + CHUNK, len(grid))) for k in range(0, len(grid), CHUNK)]
-        with ContextThreads(min(WORKERS, cores())) as pool:
-            parts = list(pool.map(linearised, chunks))
+        parts = in_threads(linearised, chunks)
         r, J, track = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
         P, S, K = len(self.names), point.start.shape[1], self.knots
         by_parameters, by_start, by_force, by_grip = np.split(J, (P, P + S, P + S + 3 * K), axis=-1)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from snakejax.core.parallel import ContextThreads
+from snakejax.core.parallel import in_threads
 from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
 from snakejax.core.tabular import Tabular
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
@@ -18,7 +18,7 @@ from snakejax.estimation.uncertainty import Estimate
 
 from ..law.search import ProposedLaw, search
 from ..law.windows import ForceWindows
-from ..selection.candidates import WORKERS, CandidateFit, CandidateSet
+from ..selection.candidates import CandidateFit, CandidateSet
 from .dependence import FittedFunction, dependence
 from .estimate import ForceEstimator, ForceSolution
 from .piecewise_force import SPACING
@@ -188,8 +188,7 @@ def _with_coexisting_effects(
         progress(ProgressEvent(Phase.COEXISTING_EFFECTS, text))
         known = (*step.effects, *(name for name in now.beside if name != LATERAL_SLIP_SWITCH))
         steps = [CandidateFit((*known, name), step.solution) for name in rest]
-        with ContextThreads(WORKERS) as pool:
-            forces = list(pool.map(partial(estimate_latent_force, candidate_set), steps))
+        forces = in_threads(partial(estimate_latent_force, candidate_set), steps)
         k = min(range(len(rest)), key=lambda k: forces[k].left)
         # What laws explain counts on both sides.
         best = forces[k].with_laws()

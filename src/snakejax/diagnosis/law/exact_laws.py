@@ -100,7 +100,8 @@ def _fitted(
     """The model of `like` with a `law`, and the misfits of its own train runs; None where it cannot be fitted."""
     progress(ProgressEvent(Phase.LAW_FIT, f"fitting {law.expression} to whole runs"))
     try:
-        candidate_set, fit = fitted_laws(case, noise, like.candidate_set, like.step.effects, missing, (law,))
+        effects, goal = like.step.effects, largest_noise_misfit(like.step.solution.samples)
+        candidate_set, fit = fitted_laws(case, noise, like.candidate_set, effects, missing, (law,), goal)
     except FitError:
         return None
     own = run_misfits(candidate_set.problem, fit.solution, candidate_set.train)

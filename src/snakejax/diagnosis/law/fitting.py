@@ -87,8 +87,10 @@ def fitted_laws(
     effects: Sequence[str],
     missing: LatentForce,
     laws: Sequence[ProposedLaw],
+    goal: float = np.inf,
 ) -> tuple[CandidateSet, CandidateFit]:
-    """The model with `effects` and `laws` fitted to whole train runs, from where the windows have it.
+    """The model with `effects` and `laws` fitted to whole train runs, from where the windows have it. `goal`: the
+    misfit above which the fit is of no use.
 
     **Raises:** `FitError` where these have more parameters than one fit can free.
     """
@@ -107,7 +109,7 @@ def fitted_laws(
         raise FitError(f"The laws {', '.join(named)} and {', '.join(effects)} have too many parameters to fit.")
     solution = refit(candidate_set, names, values)
     if solution.misfit < candidate_set.criteria.linear_misfit:
-        solution = continue_to_convergence(candidate_set.problem, solution, candidate_set.train)
+        solution = continue_to_convergence(candidate_set.problem, solution, candidate_set.train, goal=goal)
     return candidate_set, CandidateFit(names, solution)
 
 

@@ -70,6 +70,8 @@ def families(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]
                     continue
                 if action.name in OF_GRIP and function.name == "affine":
                     continue  # A constant part of the grip is that of the tyre, or of one tyre.
+                if action.name in OF_WHEEL and variable == "u":
+                    continue  # A wheel is alike in both directions: that is a function of the speed.
                 yield _of_one_variable(action, function, variable)
             if variable in WORLD_VARIABLES:
                 yield _world(function, variable)

@@ -1,6 +1,6 @@
 """Forms of law of the place: what stands or lies on the floor, slopes of it, and what holds the vehicle by a line."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -59,7 +59,9 @@ def in_the_plane(ranges: dict[str, Range]) -> Iterator[Family]:
     taut = _taut(away)
     pull = (("east", f"-(x - x0) * {taut}"), ("north", f"-(y - y0) * {taut}"))
     yield Family("tether", "world", ("x", "y"), (Term("k", {"N": 1, "m": -1}, pull),), (*middles, slack, corner))
-    yield _tied("theta" if "theta" in ranges else "heading", middles, slack, corner, size)
+    angle = "theta" if "theta" in ranges else "heading"
+    yield _tied(angle, middles, slack, corner, size)
+    yield _magnet(angle, middles, s._replace(starts=(0.1 * size, 0.25 * size)), size)
     distance = tuple((side, f"{against} * sqrt((x - x0) ** 2 + (y - y0) ** 2)") for side, against in DRY_FRICTION)
     yield Family("cable", "friction", ("x", "y"), (Term("a", {"N": 1, "m": -1}, distance),), tuple(middles))
     at_wheels = [action for action in ACTIONS if action.name in OF_WHEEL and "wheel_x" in ranges]
@@ -124,6 +126,15 @@ def _taut(away: str) -> str:
     return f"({away} - d + sqrt(({away} - d) ** 2 + s ** 2)) / {away}"
 
 
+def _pulled(angle: str, strength: Callable[[str], str]) -> tuple[tuple[str, str], ...]:
+    """A pull on the point p ahead of the centre of the body to the point (x0, y0), which is the way there times the
+    `strength`, a function of the square of its length."""
+    x, y = f"(x + p * cos({angle}) - x0)", f"(y + p * sin({angle}) - y0)"
+    turn = f"p * ({x} * sin({angle}) - {y} * cos({angle}))"
+    times = strength(f"{x} ** 2 + {y} ** 2")
+    return tuple((side, f"{part} * {times}") for side, part in (("east", f"-{x}"), ("north", f"-{y}"), ("N", turn)))
+
+
 def _tied(
     angle: str, middles: Sequence[ShapeParameter], slack: ShapeParameter, corner: ShapeParameter, size: float
 ) -> Family:
@@ -131,10 +142,15 @@ def _tied(
     metre: Unit = {"m": 1}
     p = ShapeParameter("p", metre, (0.0,), -size, size)
     h = ShapeParameter("h", metre, (0.25 * size,), 0.0, 5 * size)
-    x, y = f"(x + p * cos({angle}) - x0)", f"(y + p * sin({angle}) - y0)"
-    away = f"sqrt({x} ** 2 + {y} ** 2 + h ** 2)"
-    taut = _taut(away)
-    turn = f"p * ({x} * sin({angle}) - {y} * cos({angle}))"
-    pull = tuple((side, f"{part} * {taut}") for side, part in (("east", f"-{x}"), ("north", f"-{y}"), ("N", turn)))
+    pull = _pulled(angle, lambda square: _taut(f"sqrt({square} + h ** 2)"))
     term = Term("k", {"N": 1, "m": -1}, pull)
     return Family("tether at a point", "world", ("x", "y"), (term,), (*middles, slack, corner, p, h))
+
+
+def _magnet(angle: str, middles: Sequence[ShapeParameter], s: ShapeParameter, size: float) -> Family:
+    """The pull of a magnet, s below the point (x0, y0) of the floor, on one at the point p ahead of the centre of the
+    body; both point up."""
+    p = ShapeParameter("p", {"m": 1}, (-0.1 * size, 0.1 * size), -size, size)
+    pull = _pulled(angle, lambda square: f"1 / (1 + ({square}) / s ** 2) ** 2.5")
+    term = Term("k", {"N": 1, "m": -1}, pull)
+    return Family("magnet", "world", ("x", "y"), (term,), (*middles, s, p))

@@ -8,6 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from snakejax.core.formula import parsed
+from snakejax.core.parallel import in_threads
+
 from .terms import Family
 from .windows import ForceWindows
 
@@ -59,7 +62,12 @@ def form_at(windows: ForceWindows, family: Family, grid: np.ndarray, given: Sequ
 
 def on_grids(windows: ForceWindows, forms: Sequence[Family], given: Sequence[np.ndarray]) -> list[Trial]:
     """Of each form the best of the starts of its shape."""
-    return [best for family in forms if (best := on_grid(windows, family, given)) is not None]
+    # Python 3.11 cannot parse in two threads: all formulas are read before.
+    for family in forms:
+        for _, formula in [*family.together, *(one for term in family.terms for one in term.formulas)]:
+            parsed(formula or "1")
+    trials = in_threads(lambda family: on_grid(windows, family, given), forms)
+    return [best for best in trials if best is not None]
 
 
 def on_grid(windows: ForceWindows, family: Family, given: Sequence[np.ndarray]) -> Trial | None:

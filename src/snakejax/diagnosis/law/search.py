@@ -9,6 +9,7 @@ import numpy as np
 from scipy import stats
 
 from snakejax.core.formula import names_in, parsed
+from snakejax.core.parallel import in_threads
 from snakejax.dynamics.law import LawParameter
 from snakejax.estimation.goodness_of_fit import largest_noise_misfit
 
@@ -129,7 +130,7 @@ def wider(windows: ForceWindows, law: ProposedLaw) -> tuple[ProposedLaw, ...]:
 def _best_trials(windows: ForceWindows, forms: Sequence[Family], given: Sequence[np.ndarray]) -> list[Trial]:
     """The `REFINED` best fits of `forms`, refined and without needless terms."""
     trials = sorted(on_grids(windows, forms, given), key=lambda trial: trial.left_out)
-    return [pruned(windows, refined(windows, trial, given), given) for trial in trials[:REFINED]]
+    return in_threads(lambda trial: pruned(windows, refined(windows, trial, given), given), trials[:REFINED])
 
 
 def _proposals(windows: ForceWindows, trials: Sequence[Trial], forms: int, nothing: float) -> list[ProposedLaw]:

@@ -107,6 +107,9 @@ def smooth_floors(ranges: dict[str, Range]) -> Iterator[Family]:
 def _actions(variable: str, wheel: Sequence[str]) -> tuple[Action, ...]:
     """What a function of a variable may act on; values at knots are the only parameters."""
     known = tuple(action for action in ACTIONS if not action.shape)
+    if variable == "u":
+        # A wheel is alike in both directions: that is a function of the speed.
+        return tuple(action for action in known if action.name not in OF_WHEEL)
     if variable in wheel:
         return tuple(action for action in known if action.name in OF_WHEEL)
     return (*known, EAST, NORTH) if variable in WORLD_VARIABLES else known

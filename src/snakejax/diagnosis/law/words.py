@@ -81,6 +81,8 @@ WHOLE = {
     "tether": "the pull of a line to the point (x0, y0): slack up to the length d, 2 k per metre beyond; " + _CORNER,
     "tether at a point": "the pull of a line from the point (x0, y0), h above the floor, on the point p ahead of the"
     " centre of the body: slack up to the length d, 2 k per metre beyond; " + _CORNER,
+    "magnet": "the pull of a magnet, s below the point (x0, y0) of the floor, on the point p ahead of the centre of the"
+    " body, k per metre near it",
     "cable": "a dry friction of the body in proportion to its distance from the point (x0, y0), as of a cable that is"
     " dragged along",
     "friction at a point": "the dry friction of a point of the body, p ahead of its centre and q to the left; it begins"

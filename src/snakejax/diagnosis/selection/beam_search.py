@@ -5,10 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from snakejax.core.parallel import ContextThreads
+from snakejax.core.parallel import in_threads
 from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
 
-from .candidates import WORKERS, CandidateFit, CandidateSet
+from .candidates import CandidateFit, CandidateSet
 from .score_test import ScoreTest, tested
 from .screening import ScreenedCandidate, window_sensitivities
 
@@ -76,5 +76,4 @@ def _extended(
         best = candidate_set.windows.settle(begin, [*free, *remaining[s.effect]], settled.start, rounds=25)
         return CandidateSubset((*subset.effects, s.effect), best.values, best.cost / dof, best.start)
 
-    with ContextThreads(WORKERS) as pool:
-        return list(pool.map(settle, new))
+    return in_threads(settle, new)

@@ -23,8 +23,6 @@ WIDTH = 13
 """How many parameters one compiled fit can free: a tyre and several effects."""
 ROOM = 9
 """At least so many of them are for effects."""
-WORKERS = 2
-"""Threads that fit candidates: each fit uses several cores by itself."""
 
 
 class BaseFit(NamedTuple):

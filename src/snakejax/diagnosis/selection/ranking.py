@@ -5,14 +5,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from snakejax.core.parallel import ContextThreads
+from snakejax.core.parallel import in_threads
 from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.estimation.goodness_of_fit import consistent_with_noise
 from snakejax.estimation.problem import Solution
 from snakejax.estimation.uncertainty import Estimate, estimates_of
 
-from .candidates import WORKERS, CandidateFit, CandidateSet
+from .candidates import CandidateFit, CandidateSet
 from .criteria import CRITERIA, SelectionCriteria
 from .refit import is_worse, no_worse, refit
 from .score_test import ScoreTest, confusable
@@ -111,8 +111,7 @@ def _refits(
         others = list(shortlist)
         if others and explained():
             others = [c for c in others if c.leaves_only_noise]
-    with ContextThreads(WORKERS) as pool:
-        return refits | dict(zip([c.score.effect for c in others], pool.map(again, others), strict=True))
+    return refits | dict(zip([c.score.effect for c in others], in_threads(again, others), strict=True))
 
 
 def _order(ranked: RankedCandidate) -> tuple[int, float]:

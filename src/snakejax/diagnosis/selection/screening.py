@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from snakejax.core.parallel import ContextThreads
+from snakejax.core.parallel import in_threads
 from snakejax.core.progress import Phase, Progress, ProgressEvent, no_progress
 from snakejax.estimation.block_linearisation import linearise_runs
 from snakejax.estimation.goodness_of_fit import largest_noise_misfit
@@ -15,7 +15,7 @@ from snakejax.estimation.multiple_shooting import Windows, WindowSolution
 from snakejax.estimation.problem import DEPENDENT
 from snakejax.estimation.sensitivity import NEARER, Sensitivities
 
-from .candidates import WORKERS, CandidateFit, CandidateSet
+from .candidates import CandidateFit, CandidateSet
 from .criteria import SelectionCriteria
 from .score_test import ScoreTest, projected, score, significant_alone, tested
 
@@ -116,10 +116,9 @@ def _settled(candidate_set: CandidateSet, step: CandidateFit, fitted: Sequence[s
     if step.windows is not None:
         return candidate_set.windows.settle(step.windows.values, fitted, step.windows.start, rounds=15)
     fresh = {**step.solution.values, **{n: candidate_set.problem.values()[n] for n in candidate_set.tyre}}
-    with ContextThreads(WORKERS) as pool:
-        both = pool.map(
-            lambda values: candidate_set.windows.settle(values, fitted, rounds=15), (step.solution.values, fresh)
-        )
+    both = in_threads(
+        lambda values: candidate_set.windows.settle(values, fitted, rounds=15), (step.solution.values, fresh)
+    )
     return min(both, key=lambda s: s.cost)
 
 
@@ -160,8 +159,7 @@ def _refit_on_windows(
             scored = _surer(scored, base.misfit * base.dof - best.cost, misfit, len(screened), criteria)
         return ScreenedCandidate(scored, best.values, misfit, base.dof, best.start, base.misfit)
 
-    with ContextThreads(WORKERS) as pool:
-        refitted = sorted(pool.map(settle, chosen), key=lambda c: c.misfit)
+    refitted = sorted(in_threads(settle, chosen), key=lambda c: c.misfit)
     done = {c.score.effect for c in refitted}
     return [*refitted, *(c for c in screened if c.score.effect not in done)]
 

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from snakejax.core.parallel import ContextThreads, cores
+from snakejax.core.parallel import WORKERS, ContextThreads, cores
 
 from ..kept_program import KeptProgram
 from .kalman import Discrepancy, SegmentData, filter_runs
@@ -26,8 +26,6 @@ from .least_squares import Prior
 
 COLUMNS = 8
 """The number of columns of a compiled program is a multiple of this."""
-WORKERS = 2
-"""Threads that filter runs."""
 
 
 def discrepancy_of(logarithms: Float[np.ndarray, "9"]) -> Discrepancy:

@@ -15,7 +15,6 @@ Segments are short, so that h and F are nearly linear in z and p even where the 
 
 import copy
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import jax
@@ -24,7 +23,7 @@ import numpy as np
 from jaxtyping import Float
 
 from snakejax.core.errors import FitError
-from snakejax.core.parallel import cores
+from snakejax.core.parallel import in_threads
 from snakejax.core.parameter import parameters, with_parameters
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.ports import Effect
@@ -220,6 +219,5 @@ class Segments:
 
         # Segments with nearly equal steps stand in one chunk.
         order = np.argsort(steps, kind="stable")
-        with ThreadPoolExecutor(min(2, cores())) as pool:
-            list(pool.map(fill, [order[k : k + CHUNK] for k in range(0, S, CHUNK)]))
+        in_threads(fill, [order[k : k + CHUNK] for k in range(0, S, CHUNK)])
         return LinearisedSegments(pose, end, d_pose[..., :P], d_pose[..., P:], d_end[..., :P], d_end[..., P:])
