@@ -202,6 +202,19 @@ def test_an_exact_law_leaves_only_noise_in_windows_and_in_whole_runs(
     assert (None if added is None else added.laws[0].family.variables[0]) == exact
 
 
+@pytest.mark.parametrize(("formula", "tried"), [(9_990.0, []), (10_010.0, ["smooth"])])
+def test_a_smooth_function_is_fitted_where_the_windows_prefer_it_to_every_formula(formula, tried, monkeypatch) -> None:
+    smooth = proposed(("smooth",), 0.9, 1.0)._replace(score=10_000.0)
+    laws = (proposed(("x",), 0.9, 1.0)._replace(score=formula),)
+    given = []
+    monkeypatch.setattr(exact_laws, "smooth_laws", lambda windows: (smooth,))
+    monkeypatch.setattr(exact_laws, "smooth_trials", lambda windows, laws, fitted: given.extend(laws) or [])
+    force = cast(Any, SimpleNamespace(windows=SimpleNamespace(samples=10_000), laws=laws))
+    case, noise, like = cast(Any, None), cast(Any, None), cast(Any, None)
+    assert exact_laws.exact_smooth_law(case, noise, like, force, no_progress) is None
+    assert [law.family.variables[0] for law in given] == tried
+
+
 def fits_that_leave(misfits: Sequence[float | None]) -> tuple[Callable[[ProposedLaw], fitting.AddedLaws | None], list]:
     """A fit that leaves one of `misfits` after the other (None: it fails), and the scores of the laws it is given."""
     values, tried = iter(misfits), []

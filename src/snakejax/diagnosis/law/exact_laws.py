@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Sequence
 
+import numpy as np
+
 from snakejax.core.errors import FitError
 from snakejax.core.progress import Phase, Progress, ProgressEvent
 from snakejax.estimation.goodness_of_fit import consistent_with_noise, largest_noise_misfit, run_misfits
@@ -60,11 +62,14 @@ def exact_smooth_law(
 ) -> AddedLaws | None:
     """A smooth function with which whole train runs leave only noise, added to `like`; None without one.
 
-    Only functions are fitted that leave only noise in the windows of runs left out.
+    Only functions are fitted that leave only noise in the windows of runs left out, and predict these better than every
+    formula does.
     """
     if missing.windows is None:
         return None
-    laws = _leaving_only_noise_of(missing.windows, smooth_laws(missing.windows))
+    formulas = min((law.score for law in missing.laws if not law.family.together), default=np.inf)
+    better = [law for law in smooth_laws(missing.windows) if law.score < formulas]
+    laws = _leaving_only_noise_of(missing.windows, better)
     trials = smooth_trials(missing.windows, laws, lambda law: _fitted(case, noise, like, missing, law, progress))
     explains = bool(trials) and explains_train_runs(like, trials[-1].candidate_set, trials[-1].fit)
     return trials[-1] if explains else None
