@@ -26,14 +26,11 @@ SMOOTH_TRIED = 2
 
 def is_needless(law: ProposedLaw, fitted: Sequence[AddedLaws]) -> bool:
     """Whether a `law` need not be fitted, as one of those `fitted` leaves nothing, has no more parameters, and is
-    better in the windows too, by `FEWEST_CHI2`: of forms that are alike there whole runs tell which it is. Each
-    parameter that it has less counts as much, as in `likeliest`."""
-
-    def better(one: AddedLaws) -> bool:
-        more = len(law.parameters) - one.size
-        return more >= 0 and law.score - one.laws[0].score > FEWEST_CHI2 * (1 - more)
-
-    return any(one.leaves_nothing and better(one) for one in fitted)
+    better in the windows too, by `FEWEST_CHI2`: of forms that are alike there whole runs tell which it is."""
+    return any(
+        one.leaves_nothing and one.size <= len(law.parameters) and law.score - one.laws[0].score > FEWEST_CHI2
+        for one in fitted
+    )
 
 
 def exact_law(

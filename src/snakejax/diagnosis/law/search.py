@@ -16,7 +16,7 @@ from snakejax.estimation.goodness_of_fit import largest_noise_misfit
 from .grammar import families
 from .regression import FEWEST_CHI2, PENALTIES, Trial, form_at, named, on_grids, pruned, refined
 from .smooth_forms import smooth_floors, smooth_of_one, smooth_of_two
-from .terms import Family
+from .terms import BACK, FRONT, Family
 from .units import unit_text
 from .windows import ForceWindows
 
@@ -29,6 +29,10 @@ SMOOTH = 3
 SMOOTH_SHARE = 0.5
 """A smooth function explains nothing and has many parameters. It is proposed where it leaves less than this share of
 what the best formula leaves above the noise."""
+ALIKE = 1.0
+"""Laws whose chi^2 on runs left out differs by less are alike: the likelihoods have a ratio of exp(1 / 2)."""
+ONE_AXLE = (FRONT.name, BACK.name)
+"""The actions on the grip of one axle."""
 WIDER = (2.0, 4.0)
 """Multiples of the width of a form from which a fit to whole runs begins anew."""
 GENERAL = {
@@ -145,7 +149,19 @@ def _proposals(windows: ForceWindows, trials: Sequence[Trial], forms: int, nothi
             law = _proposed(trial, windows.samples, score)._replace(share=share, forms=forms)
             if law.expression not in laws or score < laws[law.expression].score:
                 laws[law.expression] = law
-    return sorted(laws.values(), key=lambda law: law.score)
+    return _of_all_wheels(sorted(laws.values(), key=lambda law: law.score))
+
+
+def _of_all_wheels(laws: list[ProposedLaw]) -> list[ProposedLaw]:
+    """`laws` without those of the grip of one axle that do as the same form does on all wheels: where both axles slip
+    alike, nothing tells them apart."""
+    whole = {(law.family.name, law.family.variables): law for law in laws if law.family.action == "grip"}
+
+    def is_alike(law: ProposedLaw) -> bool:
+        other = whole.get((law.family.name, law.family.variables))
+        return other is not None and abs(law.score - other.score) < ALIKE
+
+    return [law for law in laws if law.family.action not in ONE_AXLE or not is_alike(law)]
 
 
 def _smooth_laws(
