@@ -138,6 +138,7 @@ _ROLLING = "rolling_speed / sqrt(rolling_speed ** 2 + 0.0004)"
 _BEGINS = "rolling_speed / sqrt(rolling_speed ** 2 + e ** 2)"
 _SPEED = "sqrt(u ** 2 + w ** 2 + 2.5e-05)"
 _DISTANCE = "sqrt((x - 0.2) ** 2 + (y + 0.3) ** 2)"
+_LINE = _beyond("x", "y", "2.0", "0.2")
 _DOWN, _LETTERS = (("east", "0.1"), ("north", "-0.2")), (("east", "a"), ("north", "b"))
 _PUSHES = (("east", "a"), ("north", "f"))
 CASES = {
@@ -283,6 +284,21 @@ CASES = {
         (
             "; ".join(f"{side} = {a} * tanh({_beyond('x', 'y', 'q', 'd')} / s)" for side, a in _LETTERS),
             {"a": (0.1, "N"), "b": (-0.2, "N"), "q": (2.0, "rad"), "d": (0.2, "m"), "s": (0.1, "m")},
+        ),
+    ),
+    "fence": (
+        law_of(
+            *(
+                (side, f"10 * {a} * ({_LINE} + sqrt({_LINE} ** 2 + 0.0025))")
+                for side, a in (("east", "0.1"), ("north", "-0.2"))
+            )
+        ),
+        (
+            "; ".join(
+                f"{side} = {a} * ({_beyond('x', 'y', 'q', 'd')} + sqrt({_beyond('x', 'y', 'q', 'd')} ** 2 + s ** 2))"
+                for side, a in _LETTERS
+            ),
+            {"a": (1.0, "N/m"), "b": (-2.0, "N/m"), "q": (2.0, "rad"), "d": (0.2, "m"), "s": (0.05, "m")},
         ),
     ),
     "corrugated floor, oblique": (

@@ -73,6 +73,12 @@ def in_the_plane(ranges: dict[str, Range]) -> Iterator[Family]:
     yield from _waves((EAST, NORTH), "world", ("x", "y"), q, size)
     trough = f"tanh({_beyond('x', 'y')} / s)"
     yield Family("trough", "world", ("x", "y"), _each((EAST, NORTH), "ab", trough), (q, d, s), whole=True)
+    # On which side of it a fence stands, the direction says: it turns once around.
+    around = q._replace(starts=tuple(np.pi * np.arange(16) / 8))
+    away = _beyond("x", "y")
+    fence = f"({away} + sqrt({away} ** 2 + s ** 2))"
+    sides = _each((EAST, NORTH), "ab", fence, metre)
+    yield Family("fence", "world", ("x", "y"), sides, (around, d, corner), whole=True)
     if "wheel_x" in ranges:
         yield from _spots((HEIGHT,), "height", PLACE_OF_WHEEL, (*middles, s), (q, d, s))
         yield from _waves((HEIGHT,), "height", PLACE_OF_WHEEL, q, size)
@@ -83,9 +89,9 @@ def _beyond(x: str, y: str) -> str:
     return f"({x} * cos(q) + {y} * sin(q) - d)"
 
 
-def _each(actions: Sequence[Action], letters: str, text: str) -> tuple[Term, ...]:
-    """A term for each of the `actions` with the same function of the place."""
-    return tuple(term_of(action, letter, text, {}) for action, letter in zip(actions, letters, strict=True))
+def _each(actions: Sequence[Action], letters: str, text: str, unit: Unit | None = None) -> tuple[Term, ...]:
+    """A term for each of the `actions` with the same function of the place, which has a `unit` or is a pure number."""
+    return tuple(term_of(action, letter, text, unit or {}) for action, letter in zip(actions, letters, strict=True))
 
 
 def _spots(

@@ -78,6 +78,8 @@ WHOLE = {
     "spring": "the pull of a spring to the point (x0, y0), k per metre",
     "hill": "the slope of a hill in the floor, or of a dip, around the point (x0, y0), of the width s",
     "trough": "a force that changes its sign at a line, over s: the line is d from the origin in the direction q",
+    "fence": "the push of an elastic fence along a line: zero on one side of the line, and in proportion to how far the"
+    " vehicle is beyond it on the other; the line is d from the origin in the direction q; " + _CORNER,
     "tether": "the pull of a line to the point (x0, y0): slack up to the length d, 2 k per metre beyond; " + _CORNER,
     "tether at a point": "the pull of a line from the point (x0, y0), h above the floor, on the point p ahead of the"
     " centre of the body: slack up to the length d, 2 k per metre beyond; " + _CORNER,
