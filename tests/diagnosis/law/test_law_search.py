@@ -358,6 +358,22 @@ CASES = {
         law_of(("lateral", "0.4 * slip_speed / sqrt(slip_speed ** 2 + 0.0004)")),
         ("lateral = a * slip_speed / sqrt(slip_speed ** 2 + e ** 2)", {"a": (0.4, "N"), "e": (0.02, "m/s")}),
     ),
+    "balloon that is empty after a while": (
+        law_of(
+            ("X", "0.2 * (0.5 - 0.5 * tanh((time - 3) / 0.3))"), ("N", "-0.03 * (0.5 - 0.5 * tanh((time - 3) / 0.3))")
+        ),
+        (
+            "X = a * (0.5 - 0.5 * tanh((time - v0) / s)); N = j * (0.5 - 0.5 * tanh((time - v0) / s))",
+            {"a": (0.2, "N"), "j": (-0.03, "N m"), "v0": (3.0, "s"), "s": (0.3, "s")},
+        ),
+    ),
+    "jet ahead of the centre": (
+        law_of(("Y", "0.03 * rotor_rate * abs(rotor_rate)"), ("N", "0.009 * rotor_rate * abs(rotor_rate)")),
+        (
+            "Y = f * rotor_rate * abs(rotor_rate); N = j * rotor_rate * abs(rotor_rate)",
+            {"f": (0.03, "N s^2/rad^2"), "j": (0.009, "N m s^2/rad^2")},
+        ),
+    ),
     "heavy rotor on a slope": (
         law_of(("N", "0.03 * sin(rotor_angle + heading) - 0.02 * cos(rotor_angle + heading)")),
         (

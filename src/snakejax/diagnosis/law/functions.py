@@ -43,6 +43,7 @@ def functions_of(variable: str, interval: Range) -> Iterator[Function]:
     widths = tuple(interval.width * part for part in (0.04, 0.1, 0.25))
     width = ShapeParameter("s", unit, widths, 0.005 * interval.width, 5 * interval.width)
     yield Function("threshold", ((f"(0.5 + 0.5 * tanh(({v} - v0) / s))", 0),), (v0, width))
+    yield Function("falling threshold", ((f"(0.5 - 0.5 * tanh(({v} - v0) / s))", 0),), (v0, width))
     yield Function("bump", ((f"exp(-(({v} - v0) / s) ** 2)", 0),), (v0, width))
     yield Function("peak", ((f"1 / (1 + (({v} - v0) / s) ** 2)", 0),), (v0, width))
     yield from _ramps(v, unit, interval)

@@ -35,6 +35,7 @@ from .plane_forms import in_the_plane
 from .terms import (
     ACTIONS,
     BACK,
+    BODY_ACTION,
     DRAGGING,
     EAST,
     FRONT,
@@ -52,6 +53,10 @@ from .terms import (
 )
 from .units import is_sum, power, product, unit_of
 
+WORLD = ((EAST, "abc"), (NORTH, "fgh"))
+"""The axes of the world, with letters for amplitudes along them."""
+BODY = tuple(zip(ACTIONS[:3], ("abc", "fgh", "jlm"), strict=True))
+"""The axes of the body and its yaw moment, likewise: a force in any direction that acts at any point of the body."""
 OF_GRIP = ("grip", LOAD.name, FRONT.name, BACK.name)
 """Those actions that are a change of the grip."""
 
@@ -68,13 +73,15 @@ def families(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]
             for action in (*ACTIONS, *_of_axles(variable, wheel)):
                 if variable in wheel and action.name not in OF_WHEEL:
                     continue
-                if action.name in OF_GRIP and function.name == "affine":
+                if action.name in OF_GRIP and function.name in ("affine", "falling threshold"):
                     continue  # A constant part of the grip is that of the tyre, or of one tyre.
                 if action.name in OF_WHEEL and variable == "u":
                     continue  # A wheel is alike in both directions: that is a function of the speed.
                 yield _of_one_variable(action, function, variable)
             if variable in WORLD_VARIABLES:
-                yield _world(function, variable)
+                yield _along(WORLD, "world", function, variable)
+            if variable not in wheel:
+                yield _along(BODY, BODY_ACTION, function, variable)
     for one, other in combinations(single, 2):
         if one in wheel or other in wheel:
             continue
@@ -108,7 +115,7 @@ def _pushes(accelerations: Sequence[str], ranges: dict[str, Range]) -> Iterator[
         action = Action(f"push of {name.removesuffix(PUSH_SUFFIX)}", (("N", name),), unit)
         for variable in (name.replace(PUSH_SUFFIX, suffix) for suffix in ("_angle", "_rate")):
             for function in functions_of(variable, ranges[variable]) if variable in ranges else ():
-                if function.name not in ("affine", "linear", "threshold"):
+                if function.name not in ("affine", "linear", "threshold", "falling threshold"):
                     yield _of_one_variable(action, function, variable)
 
 
@@ -118,9 +125,11 @@ def _of_one_variable(action: Action, function: Function, variable: str) -> Famil
     return Family(function.name, action.name, (variable,), tuple(terms), (*function.shape, *action.shape))
 
 
-def _world(function: Function, variable: str) -> Family:
-    terms = []
-    for k, (text, n) in enumerate(function.parts):
-        for action, letter in ((EAST, "abc"[k]), (NORTH, "fgh"[k])):
-            terms.append(term_of(action, letter, text, power(unit_of(variable), n)))
-    return Family(function.name, "world", (variable,), tuple(terms), function.shape)
+def _along(sides: Sequence[tuple[Action, str]], name: str, function: Function, variable: str) -> Family:
+    """A function of one variable acts along several `sides`; each of its parts has an amplitude for each of them."""
+    terms = [
+        term_of(action, letters[k], text, power(unit_of(variable), n))
+        for k, (text, n) in enumerate(function.parts)
+        for action, letters in sides
+    ]
+    return Family(function.name, name, (variable,), tuple(terms), function.shape)

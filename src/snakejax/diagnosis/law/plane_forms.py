@@ -64,17 +64,19 @@ def in_the_plane(ranges: dict[str, Range]) -> Iterator[Family]:
     yield _magnet(angle, middles, s._replace(starts=(0.1 * size, 0.25 * size)), size)
     distance = tuple((side, f"{against} * sqrt((x - x0) ** 2 + (y - y0) ** 2)") for side, against in DRY_FRICTION)
     yield Family("cable", "friction", ("x", "y"), (Term("a", {"N": 1, "m": -1}, distance),), tuple(middles))
+    # On which side of a line something is, the direction says: it turns once around. A grip or a height may fall as
+    # well as rise there, as their constant part is free.
+    around = q._replace(starts=tuple(np.pi * np.arange(16) / 8))
     at_wheels = [action for action in ACTIONS if action.name in OF_WHEEL and "wheel_x" in ranges]
     for action, (x, y) in [*((action, "xy") for action in ACTIONS), *((one, PLACE_OF_WHEEL) for one in at_wheels)]:
         plane = tuple(term_of(action, a, v, metre) for a, v in (("a", x), ("b", y)))
         yield Family("plane", action.name, (x, y), plane, action.shape)
-        yield from _spots((action,), action.name, (x, y), (*middles, s), (q, d, s))
-    yield from _spots((EAST, NORTH), "world", ("x", "y"), (*middles, s), (q, d, s))
+        sided = q if action.name == "grip" else around
+        yield from _spots((action,), action.name, (x, y), (*middles, s), (sided, d, s))
+    yield from _spots((EAST, NORTH), "world", ("x", "y"), (*middles, s), (around, d, s))
     yield from _waves((EAST, NORTH), "world", ("x", "y"), q, size)
     trough = f"tanh({_beyond('x', 'y')} / s)"
     yield Family("trough", "world", ("x", "y"), _each((EAST, NORTH), "ab", trough), (q, d, s), whole=True)
-    # On which side of it a fence stands, the direction says: it turns once around.
-    around = q._replace(starts=tuple(np.pi * np.arange(16) / 8))
     away = _beyond("x", "y")
     fence = f"({away} + sqrt({away} ** 2 + s ** 2))"
     sides = _each((EAST, NORTH), "ab", fence, metre)

@@ -16,11 +16,11 @@ from snakejax.estimation.goodness_of_fit import largest_noise_misfit
 from .grammar import families
 from .regression import FEWEST_CHI2, PENALTIES, Trial, form_at, named, on_grids, pruned, refined
 from .smooth_forms import smooth_floors, smooth_of_one, smooth_of_two
-from .terms import BACK, FRONT, Family
+from .terms import BACK, BODY_ACTION, FRONT, Family
 from .units import unit_text
 from .windows import ForceWindows
 
-REFINED = 40
+REFINED = 60
 """So many forms have the parameters of their shape refined."""
 KEPT = 6
 """The largest number of proposed laws."""
@@ -134,7 +134,13 @@ def wider(windows: ForceWindows, law: ProposedLaw) -> tuple[ProposedLaw, ...]:
 def _best_trials(windows: ForceWindows, forms: Sequence[Family], given: Sequence[np.ndarray]) -> list[Trial]:
     """The `REFINED` best fits of `forms`, refined and without needless terms."""
     trials = sorted(on_grids(windows, forms, given), key=lambda trial: trial.left_out)
-    return in_threads(lambda trial: pruned(windows, refined(windows, trial, given), given), trials[:REFINED])
+    best = in_threads(lambda trial: pruned(windows, refined(windows, trial, given), given), trials[:REFINED])
+    return [trial for trial in best if not _is_of_one_side(trial.family)]
+
+
+def _is_of_one_side(family: Family) -> bool:
+    """Whether a force on the body together with a yaw moment is left with one of them: that is a form of its own."""
+    return family.action == BODY_ACTION and len({component for t in family.terms for component, _ in t.formulas}) < 2
 
 
 def _proposals(windows: ForceWindows, trials: Sequence[Trial], forms: int, nothing: float) -> list[ProposedLaw]:

@@ -72,6 +72,8 @@ HEIGHT = Action("height", (("height", ""),), {"m": 1})
 PUSH_SUFFIX = "_acceleration"
 """A joint pushes the body by its acceleration: this times a function of its angle or rate is an action on N."""
 EAST, NORTH = Action("east", (("east", ""),), NEWTON), Action("north", (("north", ""),), NEWTON)
+BODY_ACTION = "body"
+"""The name of the action of a force on the body together with a yaw moment."""
 WORLD_VARIABLES = ("x", "y", "heading", "theta", "time")
 """The variables on which a force along the axes of the world may depend."""
 
