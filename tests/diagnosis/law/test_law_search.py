@@ -128,6 +128,13 @@ def _beyond(x: str, y: str, q: str, d: str) -> str:
     return f"({x} * cos({q}) + {y} * sin({q}) - {d})"
 
 
+def _covered(x0: str, y0: str, q: str, d: str, h: str, s: str) -> str:
+    """What is 1 under the wheels on an oval of the floor."""
+    along = f"(((wheel_x - {x0}) * cos({q}) + (wheel_y - {y0}) * sin({q})) / {d})"
+    across = f"(((wheel_y - {y0}) * cos({q}) - (wheel_x - {x0}) * sin({q})) / {h})"
+    return f"(0.5 + 0.5 * tanh((1 - ({along} ** 2 + {across} ** 2 + 1e-12) ** 0.5) / {s}))"
+
+
 _STOPS = [f"sqrt((steering_angle {sign} 0.3) ** 2 + 0.0025)" for sign in "-+"]
 _AWAY, _TO = "sqrt((x - 0.2) ** 2 + (y + 0.3) ** 2 + 0.0016)", (("east", "x - 0.2"), ("north", "y + 0.3"))
 _PULL = f"({_AWAY} - 0.7 + sqrt(({_AWAY} - 0.7) ** 2 + 0.0016)) / {_AWAY}"
@@ -365,6 +372,14 @@ CASES = {
         (
             "X = a * (0.5 - 0.5 * tanh((time - v0) / s)); N = j * (0.5 - 0.5 * tanh((time - v0) / s))",
             {"a": (0.2, "N"), "j": (-0.03, "N m"), "v0": (3.0, "s"), "s": (0.3, "s")},
+        ),
+    ),
+    "puddle with an edge": (
+        law_of(("grip", f"-0.5 * {_covered('0.2', '0.1', '0.5', '0.4', '0.2', '0.2')}")),
+        (
+            f"grip = 1 - a * {_covered('x0', 'y0', 'q', 'd', 'h', 's')}",
+            {"a": (0.5, "-"), "x0": (0.2, "m"), "y0": (0.1, "m"), "q": (0.5, "rad")}
+            | {"d": (0.4, "m"), "h": (0.2, "m"), "s": (0.2, "-")},
         ),
     ),
     "jet ahead of the centre": (

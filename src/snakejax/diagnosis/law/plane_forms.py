@@ -68,6 +68,11 @@ def in_the_plane(ranges: dict[str, Range]) -> Iterator[Family]:
     # well as rise there, as their constant part is free.
     around = q._replace(starts=tuple(np.pi * np.arange(16) / 8))
     at_wheels = [action for action in ACTIONS if action.name in OF_WHEEL and "wheel_x" in ranges]
+    for action in at_wheels:
+        yield from _coverings(action, PLACE_OF_WHEEL, middles, size)
+    for action in ACTIONS:
+        if action.name in ("friction", "drag"):
+            yield from _coverings(action, ("x", "y"), middles, size)
     for action, (x, y) in [*((action, "xy") for action in ACTIONS), *((one, PLACE_OF_WHEEL) for one in at_wheels)]:
         plane = tuple(term_of(action, a, v, metre) for a, v in (("a", x), ("b", y)))
         yield Family("plane", action.name, (x, y), plane, action.shape)
@@ -114,6 +119,26 @@ def _spots(
         terms = _each(actions, "ab"[: len(actions)], text)
         whole = len(actions) > 1
         yield Family(f"{kind} in the plane", name, place, terms, (*own, *actions[0].shape), whole=whole)
+
+
+def _coverings(
+    action: Action, place: tuple[str, str], middles: Sequence[ShapeParameter], size: float
+) -> Iterator[Family]:
+    """What covers a part of the floor, with an edge: an oval, as a puddle, or a rectangle with round corners, as a mat.
+    Its middle is (x0, y0), its half axes are d in the direction q and h across, its edge is s times as wide."""
+    x, y = place
+    along = f"((({x} - x0) * cos(q) + ({y} - y0) * sin(q)) / d)"
+    across = f"((({y} - y0) * cos(q) - ({x} - x0) * sin(q)) / h)"
+    halves = tuple(
+        ShapeParameter(letter, {"m": 1}, tuple(size * part for part in starts), 0.01 * size, 2 * size)
+        for letter, starts in (("d", (0.1, 0.25)), ("h", (0.1,)))
+    )
+    q = ShapeParameter("q", {"rad": 1}, (0.0, np.pi / 4, np.pi / 2, 3 * np.pi / 4))
+    s = ShapeParameter("s", {}, (0.3,), 0.02, 2.0)
+    shape = (*middles, q, *halves, s, *action.shape)
+    for name, power in (("oval", 2), ("mat", 8)):
+        covered = f"(0.5 + 0.5 * tanh((1 - ({along} ** {power} + {across} ** {power} + 1e-12) ** {1 / power}) / s))"
+        yield Family(name, action.name, place, (term_of(action, "a", covered, {}),), shape)
 
 
 def _waves(

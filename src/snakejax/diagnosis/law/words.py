@@ -69,6 +69,10 @@ FUNCTIONS = {
     "threshold in the plane": "that is there on one side of a line: the line is d from the origin in the direction q,"
     " and the change takes s",
     "stripe in the plane": "that is there along a line, within s: the line is d from the origin in the direction q",
+    "oval": "that is there on an oval around (x0, y0), as a puddle: its half axes are d in the direction q and h"
+    " across, and its edge is s times as wide",
+    "mat": "that is there on a rectangle with round corners around (x0, y0), as a mat: its half sides are d in the"
+    " direction q and h across, and its edge is s times as wide",
     "wave in the plane": "that repeats along the direction q of the floor: k is the wave number",
     "constant": "with the same size at all times",
     "smooth function": "that is a smooth function of {0}",
