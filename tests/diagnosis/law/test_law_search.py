@@ -145,6 +145,7 @@ _ROLLING = "rolling_speed / sqrt(rolling_speed ** 2 + 0.0004)"
 _BEGINS = "rolling_speed / sqrt(rolling_speed ** 2 + e ** 2)"
 _SPEED = "sqrt(u ** 2 + w ** 2 + 2.5e-05)"
 _DISTANCE = "sqrt((x - 0.2) ** 2 + (y + 0.3) ** 2)"
+_HUMP = "exp(-((x - 0.2) ** 2 + (y - 0.1) ** 2) / 0.5 ** 2)"
 _LINE = _beyond("x", "y", "2.0", "0.2")
 _DOWN, _LETTERS = (("east", "0.1"), ("north", "-0.2")), (("east", "a"), ("north", "b"))
 _PUSHES = (("east", "a"), ("north", "f"))
@@ -380,6 +381,16 @@ CASES = {
             f"grip = 1 - a * {_covered('x0', 'y0', 'q', 'd', 'h', 's')}",
             {"a": (0.5, "-"), "x0": (0.2, "m"), "y0": (0.1, "m"), "q": (0.5, "rad")}
             | {"d": (0.4, "m"), "h": (0.2, "m"), "s": (0.2, "-")},
+        ),
+    ),
+    "whirl": (
+        law_of(("east", f"-0.6 * (y - 0.1) * {_HUMP}"), ("north", f"0.6 * (x - 0.2) * {_HUMP}")),
+        (
+            "; ".join(
+                f"{side} = {way} * exp(-((x - x0) ** 2 + (y - y0) ** 2) / s ** 2)"
+                for side, way in (("east", "-a * (y - y0)"), ("north", "a * (x - x0)"))
+            ),
+            {"a": (0.6, "N/m"), "x0": (0.2, "m"), "y0": (0.1, "m"), "s": (0.5, "m")},
         ),
     ),
     "jet ahead of the centre": (

@@ -3,17 +3,20 @@
 A law is a sum of terms, each an amplitude times a product of variables and one function of a variable:
 
     action                         function of a variable v
-    X, Y, N, a force in the world  v, v^2, v |v|, v and v |v|, 1 and v, tanh(v / s), tanh((v / s)^2), a threshold, a
-    drag, dry friction, force      bump, a peak, a ramp from a stop on, from two stops on, a line with play, sin and cos
-    across the velocity, yaw       of k v, what is there and is not in turns, a product of two variables;
-    drag, grip, rolling friction   in the plane a bump, a threshold, a stripe, a plane
-    of each wheel
+    X, Y, N, all three, a force    v, v^2, v |v|, v and v |v|, 1 and v, tanh(v / s), tanh((v / s)^2), a threshold, a
+    in the world, drag, dry        bump, a peak, a ramp from a stop on, from two stops on, a line with play, sin and cos
+    friction, force across the     of k v, what is there and is not in turns, a product of two variables;
+    velocity, yaw drag, grip,      in the plane a bump, a threshold, a stripe, a plane
+    rolling friction of each wheel
 
     force in the world             in the plane also a spring to a point, a tether, also from a height and to a point of
-                                   the body, the slope of a hill, a trough, a wave along a direction
+                                   the body, a magnet, the slope of a hill, a whirl, a trough, a fence, a wave along a
+                                   direction
     dry friction, drag             of the body, in proportion to the distance from a point (a cable dragged along), that
                                    falls with the speed (Stribeck), across a direction, in wind; of a point of the body,
                                    of a wheel there that does not steer, of the end of an arm that a joint turns
+    dry friction, drag, grip,      in the plane also an oval or a rectangle with an edge
+    rolling friction
     grip and rolling friction of   functions of joints and of the wheel; for the grip also of other variables, as a load
     one axle                       that goes from axle to axle
     sliding friction of each       a constant

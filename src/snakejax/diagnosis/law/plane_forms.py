@@ -53,6 +53,8 @@ def in_the_plane(ranges: dict[str, Range]) -> Iterator[Family]:
     bump = "exp(-((x - x0) ** 2 + (y - y0) ** 2) / s ** 2)"
     slope = (("east", f"(x - x0) * {bump}"), ("north", f"(y - y0) * {bump}"))
     yield Family("hill", "world", ("x", "y"), (Term("a", {"N": 1, "m": -1}, slope),), (*middles, s))
+    whirl = (("east", f"-(y - y0) * {bump}"), ("north", f"(x - x0) * {bump}"))
+    yield Family("whirl", "world", ("x", "y"), (Term("a", {"N": 1, "m": -1}, whirl),), (*middles, s))
     # Without a slack length it is a spring, and without a corner nobody can follow its slope.
     away, corner = "sqrt((x - x0) ** 2 + (y - y0) ** 2 + s ** 2)", s._replace(starts=(0.05 * size,), low=0.002 * size)
     slack = ShapeParameter("d", metre, (0.2 * size, 0.5 * size, 0.8 * size), 0.0, 5 * size)

@@ -83,6 +83,7 @@ FUNCTIONS = {
 WHOLE = {
     "spring": "the pull of a spring to the point (x0, y0), k per metre",
     "hill": "the slope of a hill in the floor, or of a dip, around the point (x0, y0), of the width s",
+    "whirl": "a force around the point (x0, y0), at right angles to the way there, of the width s, as of turning air",
     "trough": "a force that changes its sign at a line, over s: the line is d from the origin in the direction q",
     "fence": "the push of an elastic fence along a line: zero on one side of the line, and in proportion to how far the"
     " vehicle is beyond it on the other; the line is d from the origin in the direction q; " + _CORNER,
