@@ -1,7 +1,8 @@
 """How often the diagnosis is right on synthetic boards: with each effect at five strengths, and without any.
 
     python benchmarks/accuracy.py PART [RESULTS]         PART: null, ranking, loop, strong, pairs, strangers,
-                                                         unusual, natural, further, mixed, exhaustive, table
+                                                         unusual, natural, further, arena, mixed,
+                                                         exhaustive, table
 
 Each part writes its results line by line into RESULTS (default benchmarks/accuracy.jsonl), and continues there after
 a stop. `table` prints the summary, which is kept in benchmarks/accuracy.txt.
@@ -17,6 +18,7 @@ strangers   the same with an effect that is in no library.
 unusual     the same with one of a form that was unknown to those who wrote the search for laws.
 natural     the same with one that may act on a board in a laboratory, unknown to them too.
 further     the same with twelve more of that kind.
+arena       the same with ten more, written after forms of law had been added for those.
 mixed       the same with such an effect and a known one together; the report must name the known one with the force.
 exhaustive  twenty of the hundred with all candidates refitted, as the reference.
 
@@ -38,6 +40,7 @@ from snakejax import prepare_jax
 
 prepare_jax()
 
+import arena_laws  # noqa: E402
 import boards  # noqa: E402
 import equinox as eqx  # noqa: E402
 import further_laws  # noqa: E402
@@ -354,6 +357,10 @@ def further(results: Results) -> None:
     _other_strangers(results, "further", 9200, further_laws.FURTHER)
 
 
+def arena(results: Results) -> None:
+    _other_strangers(results, "arena", 9400, arena_laws.ARENA)
+
+
 def _other_strangers(results: Results, part: str, first: int, effects: dict[str, tuple[Any, str]]) -> None:
     """One board for each of the `effects`, numbered from `first` on, in turns of each structure."""
     for k, (name, (effect, variable)) in enumerate(effects.items()):
@@ -459,6 +466,8 @@ def table(results: Results) -> None:
         _strangers_table("Effects that may act in a laboratory", lines)
     if lines := results.of("further"):
         _strangers_table("More effects that may act in a laboratory", lines)
+    if lines := results.of("arena"):
+        _strangers_table("Ten more, written after forms had been added for those", lines)
     if lines := results.of("mixed"):
         _mixed_table(lines)
     if lines := results.of("exhaustive"):
@@ -583,7 +592,21 @@ def _loop_table(lines: list[dict[str, Any]]) -> None:
 
 PARTS = {
     part.__name__: part
-    for part in (null, ranking, loop, strong, pairs, strangers, unusual, natural, further, mixed, exhaustive, table)
+    for part in (
+        null,
+        ranking,
+        loop,
+        strong,
+        pairs,
+        strangers,
+        unusual,
+        natural,
+        further,
+        arena,
+        mixed,
+        exhaustive,
+        table,
+    )
 }
 
 if __name__ == "__main__":

@@ -2,37 +2,9 @@
 
 import jax
 import jax.numpy as jnp
+from law_parts import GRAVITY, size, softplus, total, world, wrench_at
 
 from snakejax import Force, LateralForce, Scalar, param
-
-GRAVITY = 9.81
-
-
-def _softplus(a, width):
-    """The part of `a` above zero, with a corner that is round over `width`."""
-    return width * jax.nn.softplus(a / width)
-
-
-def _size(*parts, floor):
-    """The length of a vector, round below `floor`."""
-    return jnp.sqrt(sum(part**2 for part in parts) + floor**2)
-
-
-def _world(motion, ahead, left=0.0):
-    """Where a point of the body is, `ahead` and to the `left` of its centre [m]."""
-    cosine, sine = jnp.cos(motion.theta), jnp.sin(motion.theta)
-    return motion.x + ahead * cosine - left * sine, motion.y + ahead * sine + left * cosine
-
-
-def _at(X, Y, ahead, left=0.0):
-    """The wrench of a force (X, Y) that acts `ahead` and to the `left` of the centre [m]."""
-    return X, Y, ahead * Y - left * X
-
-
-def _sum(wrenches):
-    """The sum of wrenches."""
-    return tuple(sum(parts) for parts in zip(*wrenches, strict=True))
-
 
 # Places.
 
@@ -57,10 +29,10 @@ class Magnet(Force):
     a: Scalar = param("N", default=0.0)
 
     def wrench(self, motion):
-        x, y = _world(motion, 0.2)
+        x, y = world(motion, 0.2)
         dx, dy = (0.8 - x) / 0.35, (-0.1 - y) / 0.35
         pull = 3.49 * self.a / (1 + dx**2 + dy**2) ** 2.5
-        return _at(*motion.into_body(pull * dx, pull * dy), 0.2)
+        return wrench_at(*motion.into_body(pull * dx, pull * dy), 0.2)
 
 
 class Ledge(Force):
@@ -72,12 +44,12 @@ class Ledge(Force):
     def wrench(self, motion):
         def of(wheel):
             ahead = motion.board.arm(wheel.wheelset)
-            x, y = _world(motion, ahead)
+            x, y = world(motion, ahead)
             up = (0.96 * (x - 0.9) + 0.28 * y) / 0.15
             pull = -3.5 * GRAVITY * self.h / (2 * 0.15) / jnp.cosh(up) ** 2
-            return _at(*motion.into_body(0.96 * pull, 0.28 * pull), ahead)
+            return wrench_at(*motion.into_body(0.96 * pull, 0.28 * pull), ahead)
 
-        return _sum(of(wheel) for wheel in motion.wheels)
+        return total(of(wheel) for wheel in motion.wheels)
 
 
 # The heading and the time.
@@ -91,7 +63,7 @@ class Sail(Force):
 
     def wrench(self, motion):
         along = jnp.cos(motion.theta - 2.1)
-        X = self.a * along * (_size(along, floor=0.05) - 0.05)
+        X = self.a * along * (size(along, floor=0.05) - 0.05)
         return X, jnp.zeros_like(X), jnp.zeros_like(X)
 
 
@@ -115,8 +87,8 @@ class Governor(Force):
     c: Scalar = param("N s/m", default=0.0)
 
     def wrench(self, motion):
-        speed = _size(motion.u, motion.w, floor=0.01)
-        hold = -self.c * _softplus(speed - 0.15, 0.02) / speed
+        speed = size(motion.u, motion.w, floor=0.01)
+        hold = -self.c * softplus(speed - 0.15, 0.02) / speed
         return hold * motion.u, hold * motion.w, jnp.zeros_like(hold)
 
 
@@ -128,11 +100,11 @@ class ServoDrag(Force):
 
     def wrench(self, motion):
         def of(wheel):
-            press = self.c * (_size(wheel.joint.rate, floor=0.1) - 0.1)
+            press = self.c * (size(wheel.joint.rate, floor=0.1) - 0.1)
             hold = -press * jnp.tanh(wheel.rolling / 0.03)
-            return _at(hold * wheel.cosine, hold * wheel.sine, motion.board.arm(wheel.wheelset))
+            return wrench_at(hold * wheel.cosine, hold * wheel.sine, motion.board.arm(wheel.wheelset))
 
-        return _sum(of(wheel) for wheel in motion.wheels)
+        return total(of(wheel) for wheel in motion.wheels)
 
 
 class HeavyRotor(Force):
@@ -157,7 +129,7 @@ class FixedCastor(Force):
 
     def wrench(self, motion):
         Y = -self.a * jnp.tanh((motion.w + 0.45 * motion.r) / 0.04)
-        return _at(jnp.zeros_like(Y), Y, 0.45)
+        return wrench_at(jnp.zeros_like(Y), Y, 0.45)
 
 
 class RotorBrush(Force):
@@ -170,8 +142,8 @@ class RotorBrush(Force):
         ahead, left = 0.2 * jnp.cos(motion.rotor.angle), 0.2 * jnp.sin(motion.rotor.angle)
         turn = motion.r + motion.rotor.rate
         along, across = motion.u - left * turn, motion.w + ahead * turn
-        friction = -self.a / _size(along, across, floor=0.03)
-        return _at(friction * along, friction * across, ahead, left)
+        friction = -self.a / size(along, across, floor=0.03)
+        return wrench_at(friction * along, friction * across, ahead, left)
 
 
 # The tyres.
@@ -184,7 +156,7 @@ class Heating(LateralForce):
     g: Scalar = param("-", default=0.0)
 
     def lateral(self, force, wheel, motion):
-        power = _size(force * wheel.lateral, floor=0.002) - 0.002
+        power = size(force * wheel.lateral, floor=0.002) - 0.002
         return force * (1 - self.g * power / (0.03 + power))
 
 

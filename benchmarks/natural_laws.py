@@ -2,37 +2,9 @@
 
 import jax
 import jax.numpy as jnp
+from law_parts import GRAVITY, size, softplus, total, world, wrench_at
 
 from snakejax import Force, LateralForce, Scalar, param
-
-GRAVITY = 9.81
-
-
-def _softplus(a, width):
-    """The part of `a` above zero, with a corner that is round over `width`."""
-    return width * jax.nn.softplus(a / width)
-
-
-def _size(*parts, floor):
-    """The length of a vector, round below `floor`."""
-    return jnp.sqrt(sum(part**2 for part in parts) + floor**2)
-
-
-def _world(motion, ahead, left=0.0):
-    """Where a point of the body is, `ahead` and to the `left` of its centre [m]."""
-    cosine, sine = jnp.cos(motion.theta), jnp.sin(motion.theta)
-    return motion.x + ahead * cosine - left * sine, motion.y + ahead * sine + left * cosine
-
-
-def _at(X, Y, ahead, left=0.0):
-    """The wrench of a force (X, Y) that acts `ahead` and to the `left` of the centre [m]."""
-    return X, Y, ahead * Y - left * X
-
-
-def _sum(wrenches):
-    """The sum of wrenches."""
-    return tuple(sum(parts) for parts in zip(*wrenches, strict=True))
-
 
 # Places.
 
@@ -55,15 +27,15 @@ class WarpedFloor(Force):
 
         def of(wheel):
             ahead = motion.board.arm(wheel.wheelset)
-            x, y = _world(motion, ahead)
+            x, y = world(motion, ahead)
             east = north = jnp.zeros_like(x)
             for x0, y0, width, share in bumps:
                 dx, dy = x - x0, y - y0
                 steep = share * self.h / width**2 * jnp.exp(-(dx**2 + dy**2) / (2 * width**2))
                 east, north = east + steep * dx, north + steep * dy
-            return _at(*motion.into_body(3.5 * GRAVITY * east, 3.5 * GRAVITY * north), ahead)
+            return wrench_at(*motion.into_body(3.5 * GRAVITY * east, 3.5 * GRAVITY * north), ahead)
 
-        return _sum(of(wheel) for wheel in motion.wheels)
+        return total(of(wheel) for wheel in motion.wheels)
 
 
 class Umbilical(Force):
@@ -73,11 +45,11 @@ class Umbilical(Force):
     k: Scalar = param("N/m", default=0.0)
 
     def wrench(self, motion):
-        x, y = _world(motion, -0.2)
+        x, y = world(motion, -0.2)
         dx, dy = -0.3 - x, 0.8 - y
-        length = _size(dx, dy, floor=2.0)
-        pull = self.k * _softplus(length - 2.2, 0.05) / length
-        return _at(*motion.into_body(pull * dx, pull * dy), -0.2)
+        length = size(dx, dy, floor=2.0)
+        pull = self.k * softplus(length - 2.2, 0.05) / length
+        return wrench_at(*motion.into_body(pull * dx, pull * dy), -0.2)
 
 
 class Fan(Force):
@@ -89,12 +61,12 @@ class Fan(Force):
     def wrench(self, motion):
         dx, dy = motion.x - 1.0, motion.y + 1.3
         along, across = 0.96 * dy - 0.28 * dx, 0.96 * dx + 0.28 * dy
-        reach = _softplus(along, 0.1)
+        reach = softplus(along, 0.1)
         width = 0.15 + 0.15 * reach
         jet = 1.5 * (0.15 / width) ** 0.5 * jnp.exp(-((across / width) ** 2)) * jax.nn.sigmoid(along / 0.1)
         east, north = motion.into_body(-0.28 * jet, 0.96 * jet)
         ahead, left = east - motion.u, north - motion.w
-        speed = _size(ahead, left, floor=0.02)
+        speed = size(ahead, left, floor=0.02)
         return self.c * speed * ahead, self.c * speed * left, jnp.zeros_like(speed)
 
 
@@ -104,9 +76,9 @@ class Spill(LateralForce):
     g: Scalar = param("-", default=0.0)
 
     def lateral(self, force, wheel, motion):
-        x, y = _world(motion, motion.board.arm(wheel.wheelset))
+        x, y = world(motion, motion.board.arm(wheel.wheelset))
         dx, dy = x - 0.7, y - 0.1
-        edge = _size((0.9 * dx + 0.44 * dy) / 0.5, (0.9 * dy - 0.44 * dx) / 0.25, floor=0.05)
+        edge = size((0.9 * dx + 0.44 * dy) / 0.5, (0.9 * dy - 0.44 * dx) / 0.25, floor=0.05)
         return force * (1 - self.g * jax.nn.sigmoid((1 - edge) / 0.1))
 
 
@@ -121,8 +93,8 @@ class DraggingTail(Force):
     def wrench(self, motion):
         ahead, left = -0.4, 0.1
         along, across = motion.u - left * motion.r, motion.w + ahead * motion.r
-        friction = -self.a / _size(along, across, floor=0.02)
-        return _at(friction * along, friction * across, ahead, left)
+        friction = -self.a / size(along, across, floor=0.02)
+        return wrench_at(friction * along, friction * across, ahead, left)
 
 
 class Planks(Force):
@@ -143,11 +115,11 @@ class RubbingFender(Force):
 
     def wrench(self, motion):
         def of(wheel):
-            rub = _softplus(_size(wheel.joint.angle, floor=0.03) - 0.45, 0.03)
+            rub = softplus(size(wheel.joint.angle, floor=0.03) - 0.45, 0.03)
             hold = -self.a * rub * jnp.tanh(wheel.rolling / 0.03)
-            return _at(hold * wheel.cosine, hold * wheel.sine, motion.board.arm(wheel.wheelset))
+            return wrench_at(hold * wheel.cosine, hold * wheel.sine, motion.board.arm(wheel.wheelset))
 
-        return _sum(of(wheel) for wheel in motion.wheels)
+        return total(of(wheel) for wheel in motion.wheels)
 
 
 # The rotor and what the board carries.
@@ -160,7 +132,7 @@ class Windage(Force):
 
     def wrench(self, motion):
         turn = motion.rotor.rate + motion.r
-        N = -self.a * turn * (_size(turn, floor=0.2) - 0.2)
+        N = -self.a * turn * (size(turn, floor=0.2) - 0.2)
         return jnp.zeros_like(N), jnp.zeros_like(N), N
 
 
