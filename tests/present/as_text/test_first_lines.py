@@ -195,6 +195,15 @@ def test_it_is_said_where_only_the_held_out_runs_are_unexplained(misfit, floor, 
     assert ("the held-out runs show an effect, or conditions" in lines["how sure"]) is unseen
 
 
+@pytest.mark.parametrize(("misfit", "verdict", "said"), [(7.0, "explained", True), (1.0, "explained", False)])
+def test_it_is_said_where_held_out_runs_go_beyond_what_the_train_runs_determine(misfit, verdict, said) -> None:
+    *before, last = story(verdict=verdict).steps
+    assert last.heldout is not None
+    last = dataclasses.replace(last, heldout=last.heldout._replace(misfit=misfit))
+    lines = dict(first_lines(dataclasses.replace(story(verdict=verdict), steps=(*before, last))))
+    assert ("They go beyond the train runs" in lines["validation"]) is said
+
+
 @pytest.mark.parametrize(
     ("estimate", "text"),
     [

@@ -16,6 +16,11 @@ from .tables import NOT_CONVERGED, values_text
 UNDECIDED = "No known effect brings the error down to the noise."
 UNSEEN = "The train runs are explained, the held-out runs are not: they differ from what this model predicts."
 
+BEYOND = (
+    "They go beyond the train runs, which do not determine the values well enough for them: this error does not"
+    " contradict the model."
+)
+
 
 def title(explanation: Explanation) -> str:
     """The case and the verdict: `tilted-floor: explained by ground_slope`."""
@@ -91,7 +96,11 @@ def _validation(explanation: Explanation) -> str:
     runs = counted(len(final.fitted.numbered("heldout")), "held-out run")
     if explanation.final is explanation.base:
         return f"{runs}, not used in the fit: {error_text(final.heldout)}."
-    return f"{runs}, not used in the fit: from {error_text(base.heldout)} to {error_text(final.heldout)}."
+    beyond = ""
+    exact = explanation.verdict == "explained" and explanation.floor is None
+    if exact and final.heldout.misfit > largest_noise_misfit(final.heldout.samples):
+        beyond = f" {BEYOND}"
+    return f"{runs}, not used in the fit: from {error_text(base.heldout)} to {error_text(final.heldout)}.{beyond}"
 
 
 def _certainty(explanation: Explanation) -> Iterator[str]:
