@@ -1,8 +1,9 @@
 """The explanation by a model that leaves only noise."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
-from snakejax.estimation.goodness_of_fit import consistent_with_noise
+from snakejax.estimation.goodness_of_fit import consistent_with_noise, largest_noise_misfit
 from snakejax.recording.run import Case, Noise
 
 from .exact_checks import STATED_WELL, bands_of, odd_runs_beside
@@ -51,9 +52,12 @@ def exact_explanation(
 
 
 def _confidence_where_exact(steps: Sequence[SelectionStep], effect: str) -> str:
-    """How sure an effect is where it leaves only noise: the model is exact, so only a twin or a constant is as good."""
+    """How sure an effect is where it leaves only noise: the model is exact, so only a twin or a constant is as good.
+    One with which held-out runs are further off may stand in for something else."""
     if indistinguishable(steps, effect):
         return AMBIGUOUS
+    if _raises_heldout_error(steps, effect):
+        return STAND_IN
     final = steps[-1]
     port = final.model.effects.get(effect)
     stated_sd = final.model.board.stated_sd
@@ -61,3 +65,12 @@ def _confidence_where_exact(steps: Sequence[SelectionStep], effect: str) -> str:
         if abs(final.estimates_of(effect)[name].value) < STATED_WELL * stated_sd.get(constant, 0.0):
             return STAND_IN
     return SURE
+
+
+def _raises_heldout_error(steps: Sequence[SelectionStep], effect: str) -> bool:
+    """Whether held-out runs are further off with the step that adds `effect`, and further than noise."""
+    for before, after in pairwise(steps):
+        if after.name == effect and before.heldout is not None and after.heldout is not None:
+            error = after.heldout.misfit
+            return error > max(before.heldout.misfit, largest_noise_misfit(after.heldout.samples))
+    return False

@@ -393,6 +393,10 @@ CASES = {
             {"a": (0.6, "N/m"), "x0": (0.2, "m"), "y0": (0.1, "m"), "s": (0.5, "m")},
         ),
     ),
+    "wheels that lean as they steer": (
+        law_of(("lateral", "0.5 * tanh(steering_angle / 0.4)")),
+        ("lateral = a * tanh(steering_angle / s)", {"a": (0.5, "N"), "s": (0.4, "rad")}),
+    ),
     "jet ahead of the centre": (
         law_of(("Y", "0.03 * rotor_rate * abs(rotor_rate)"), ("N", "0.009 * rotor_rate * abs(rotor_rate)")),
         (

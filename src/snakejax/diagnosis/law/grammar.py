@@ -21,6 +21,7 @@ A law is a sum of terms, each an amplitude times a product of variables and one 
     one axle                       that goes from axle to axle
     sliding friction of each       a constant
     wheel
+    force across each wheel        functions of joints and of the wheel
     height of the floor under      in the plane a bump, a threshold, a stripe, a wave along a direction
     each wheel
     push of a joint                a yaw moment, the acceleration of a joint times a function of that joint
@@ -35,6 +36,8 @@ from itertools import combinations
 from .friction_forms import friction_forms
 from .functions import Function, functions_of
 from .plane_forms import in_the_plane
+from .plane_shapes import PlaneShapes
+from .point_forms import of_a_point
 from .terms import (
     ACTIONS,
     BACK,
@@ -47,6 +50,7 @@ from .terms import (
     NORTH,
     OF_WHEEL,
     PUSH_SUFFIX,
+    SIDE,
     SLIDING,
     WORLD_VARIABLES,
     Action,
@@ -95,7 +99,9 @@ def families(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]
             # One of its parts alone is a form of one variable.
             yield Family("sum", action.name, (one, other), parts, whole=True)
     if "x" in ranges and "y" in ranges:
-        yield from in_the_plane(ranges)
+        shapes = PlaneShapes.of(ranges["x"], ranges["y"])
+        yield from of_a_point(shapes, "theta" if "theta" in ranges else "heading")
+        yield from in_the_plane(ranges, shapes)
     yield from friction_forms(ranges, wheel)
     for action in (*DRAGGING, SLIDING) if "axle" in wheel else ():
         variable = "slip_speed" if action is SLIDING else "rolling_speed"
@@ -103,12 +109,12 @@ def families(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]
 
 
 def _of_axles(variable: str, wheel: Sequence[str]) -> tuple[Action, ...]:
-    """The actions that differ from axle to axle, which may depend on a variable; the grip of one axle alone depends on
-    joints and on the wheels themselves."""
+    """The actions that differ from axle to axle, which may depend on a variable; the grip of one axle alone and a force
+    across each wheel depend on joints and on the wheels themselves."""
     if "axle" not in wheel:
         return ()
     own = variable in wheel or variable.endswith(("_angle", "_rate"))
-    return (LOAD, FRONT, BACK) if own else (LOAD,)
+    return (LOAD, FRONT, BACK, SIDE) if own else (LOAD,)
 
 
 def _pushes(accelerations: Sequence[str], ranges: dict[str, Range]) -> Iterator[Family]:

@@ -65,6 +65,8 @@ DRAGGING = tuple(
     for end, sign in (("front", "+"), ("back", "-"))
 )
 """A dry friction of the wheels ahead of the middle alone, and of those behind it, against their rolling."""
+SIDE = Action("side", (("lateral", ""),), NEWTON)
+"""A force across each wheel, beside that of its tyre, as of a wheel that leans."""
 SLIDING = Action("sliding", (("lateral", "slip_speed / sqrt(slip_speed ** 2 + e ** 2)"),), NEWTON, (_BEGINS,))
 """A dry friction of each wheel against its lateral slip, beside the force of its tyre."""
 HEIGHT = Action("height", (("height", ""),), {"m": 1})

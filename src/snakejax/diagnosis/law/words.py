@@ -33,6 +33,7 @@ ACTIONS = {
     "front rolling": "a dry friction of the front wheels against their rolling, which begins over the speed e",
     "back rolling": "a dry friction of the back wheels against their rolling, which begins over the speed e",
     "height": "a rise of the floor under the wheels",
+    "side": "a force across each wheel, beside that of its tyre,",
     "sliding": "a dry friction of each wheel against its lateral slip, beside the force of its tyre, which begins over"
     " the speed e",
     "rolling": "a dry friction of each wheel against its rolling, which begins over the speed e",
