@@ -42,7 +42,7 @@ def exact_explanation(
         (),
         steps[0].left_out,
         None,
-        confidence={effect: _confidence_where_exact(steps, effect) for effect in final.effects},
+        confidence={effect: confidence_where_exact(steps, effect) for effect in final.effects},
         share=share,
         explained_share=explained_share,
         bands=bands_of(final.fitted),
@@ -51,7 +51,7 @@ def exact_explanation(
     )
 
 
-def _confidence_where_exact(steps: Sequence[SelectionStep], effect: str) -> str:
+def confidence_where_exact(steps: Sequence[SelectionStep], effect: str) -> str:
     """How sure an effect is where it leaves only noise: the model is exact, so only a twin or a constant is as good.
     One with which held-out runs are further off may stand in for something else."""
     if indistinguishable(steps, effect):
