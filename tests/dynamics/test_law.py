@@ -109,3 +109,11 @@ def test_a_law_of_a_variable_that_the_vehicle_lacks_is_refused() -> None:
     for text in ("X = a * throttle", "X = a * slip_speed"):
         with pytest.raises(ValueError, match="no variable"):
             driven(law(text, {"a": "N"}, {"a": 1.0}))
+
+
+@pytest.mark.parametrize("name", ["u", "x", "rotor_angle", "slip_speed"])
+def test_a_height_depends_on_the_place_of_a_wheel_alone(name: str) -> None:
+    given = (LawParameter("a", "m"),)
+    with pytest.raises(InputError, match=f"cannot depend on `{name}`"):
+        law_class(f"height = a * wheel_x * {name}", given)
+    assert law_class("height = a * wheel_x * wheel_y", given).expression == "height = a * wheel_x * wheel_y"

@@ -8,23 +8,25 @@ import jax.numpy as jnp
 from snakejax.core.parameter import Scalar
 
 from .contact import Motion, Wheel, Wrench, sine_cosine
-from .vehicle import AbstractVehicle, Wheelset
+from .vehicle import AbstractVehicle, Placement, Wheelset
 
 Height = Callable[[Scalar, Scalar], Scalar]
 """The height [m] of a floor at a place (x, y) [m]."""
 
 
-def place_of_wheel(board: AbstractVehicle, wheelset: Wheelset, motion: Motion) -> tuple[Scalar, Scalar]:
-    """Where a wheelset of `board` stands on the floor, (x, y) [m]."""
-    at = board.placement(wheelset, {name: joint.angle for name, joint in motion.inputs.items()})
+def placement_of(board: AbstractVehicle, wheelset: Wheelset, motion: Motion) -> Placement:
+    """Where a wheelset of `board` touches the ground in the base frame."""
+    return board.placement(wheelset, {name: joint.angle for name, joint in motion.inputs.items()})
+
+
+def place_on_floor(at: Placement, motion: Motion) -> tuple[Scalar, Scalar]:
+    """The place (x, y) [m] in the world of what is `at` a place of the base frame."""
     sine, cosine = sine_cosine(motion.theta)
     return motion.x + at.x * cosine - at.y * sine, motion.y + at.x * sine + at.y * cosine
 
 
-def force_at_wheel(board: AbstractVehicle, wheelset: Wheelset, motion: Motion, east: Scalar, north: Scalar) -> Wrench:
-    """The wrench on the body of a force (east, north) [N] along the axes of the world that acts on a wheelset."""
-    at = board.placement(wheelset, {name: joint.angle for name, joint in motion.inputs.items()})
-    X, Y = motion.into_body(east, north)
+def wrench_at(at: Placement, X: Scalar, Y: Scalar) -> Wrench:
+    """The wrench of a force along and across the body [N] that acts `at` a place of the base frame."""
     return X, Y, at.x * Y - at.y * X
 
 
@@ -36,11 +38,11 @@ def weight_on_floor(height: Height, motion: Motion) -> Wrench:
     """
 
     def of(wheel: Wheel) -> Wrench:
-        x, y = place_of_wheel(motion.board, wheel.wheelset, motion)
+        at, load = placement_of(motion.board, wheel.wheelset, motion), motion.board.load(wheel.wheelset)
+        x, y = place_on_floor(at, motion)
         steep_x = jax.jvp(lambda x: height(x, y), (x,), (jnp.ones_like(x),))[1]
         steep_y = jax.jvp(lambda y: height(x, y), (y,), (jnp.ones_like(y),))[1]
-        load = motion.board.load(wheel.wheelset)
-        return force_at_wheel(motion.board, wheel.wheelset, motion, -load * steep_x, -load * steep_y)
+        return wrench_at(at, *motion.into_body(-load * steep_x, -load * steep_y))
 
     X, Y, N = (sum(parts, jnp.zeros_like(motion.u)) for parts in zip(*map(of, motion.wheels), strict=True))
     return X, Y, N

@@ -14,7 +14,7 @@ from snakejax.core.formula import SMOOTH_FUNCTIONS, evaluated, names_in, parsed
 from snakejax.core.parameter import Scalar, own_parameters, param
 
 from .contact import Motion, Wheel, Wrench, slip_angle
-from .floor import place_of_wheel, weight_on_floor
+from .floor import place_on_floor, placement_of, weight_on_floor
 from .ports import Effect, Force, LateralForce, RollingForce
 from .signals import Joint
 from .vehicle import AbstractVehicle, Wheelset
@@ -36,8 +36,6 @@ VARIABLES = ("time", "x", "y", "heading", "theta", "u", "w", "r", "speed")
 """The variables of any vehicle, see `Motion`; `speed` is that of the body. Those of its joints come beside."""
 WHEEL_VARIABLES = ("slip_speed", "slip_angle", "rolling_speed", "wheel_x", "wheel_y", "turn_rate", "axle")
 """The variables of one wheel, on which what acts at it may depend, see `wheel_variables`."""
-
-_KNOWN = {*VARIABLES, *WHEEL_VARIABLES}
 
 
 class LawParameter(NamedTuple):
@@ -139,7 +137,7 @@ def wheel_variables(board: AbstractVehicle, wheelset: Wheelset, wheel: Wheel, mo
         wheel.lateral,
         slip_angle(wheel.lateral, wheel.rolling, board.creep_speed),
         wheel.rolling,
-        *place_of_wheel(board, wheelset, motion),
+        *place_on_floor(placement_of(board, wheelset, motion), motion),
         motion.r + wheel.joint.rate,
         jnp.zeros_like(motion.r) + np.sign(wheelset.place),
     )
@@ -159,9 +157,6 @@ def formulas_of(expression: str) -> dict[str, ast.expr]:
             what = f"`{part.strip()}` sets no component of a law, or sets one again"
             raise InputError(what, "expression", f"write `COMPONENT = formula`, of {', '.join(COMPONENTS)}")
         formulas[name] = parsed(formula)
-    if "height" in formulas and (others := set(names_in(formulas["height"])) & (_KNOWN - set(PLACE_OF_WHEEL))):
-        what = f"The height of the floor cannot depend on `{min(others)}`"
-        raise InputError(what, "expression", f"write it as a formula of {' and '.join(PLACE_OF_WHEEL)}")
     alone = set(formulas) & set(OF_EACH_WHEEL)
     if alone and len(formulas) > 1:
         what = f"A law that sets the {min(alone)} of each wheel cannot set anything else"
@@ -174,13 +169,17 @@ def law_class(expression: str, given: tuple[LawParameter, ...], description: str
     """The class of effects of one law, with the parameters `given`; their defaults leave the model unchanged where
     they make the formulas zero, or the grip 1.
 
-    **Raises:** `InputError` for an expression that is none, or a parameter that it does not name.
+    **Raises:** `InputError` for an expression that is none, a parameter that it does not name, or a height that depends
+    on anything but the place of a wheel.
     """
     formulas = formulas_of(expression)
     named = {name for tree in formulas.values() for name in names_in(tree)}
     for one in given:
         if one.name not in named:
             raise InputError(f"`{expression}` has no parameter `{one.name}`", "expression", "leave it out")
+    if "height" in formulas and (others := named - {one.name for one in given} - set(PLACE_OF_WHEEL)):
+        what = f"The height of the floor cannot depend on `{min(others)}`"
+        raise InputError(what, "expression", f"write it as a formula of {' and '.join(PLACE_OF_WHEEL)}")
     kinds: dict[str, type] = {"grip": GripLaw, "lateral": LateralLaw, "resistance": ResistanceLaw, "height": FloorLaw}
     bases = tuple(kinds[component] for component in formulas if component in kinds) or (ForceLaw,)
     fields: dict[str, Any] = {p.name: param(p.unit, low=p.low, high=p.high, default=p.default) for p in given}

@@ -9,7 +9,7 @@ import numpy as np
 from snakejax.core.fast_math import sine_cosine
 from snakejax.core.parameter import with_parameters
 from snakejax.dynamics.contact import Motion, Wheel, Wrench
-from snakejax.dynamics.floor import force_at_wheel
+from snakejax.dynamics.floor import placement_of, wrench_at
 from snakejax.dynamics.law import WHEEL_VARIABLES, wheel_variables
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.vehicle import AbstractVehicle, Wheelset
@@ -119,9 +119,8 @@ def motion_samples(model: Model, motion: Motion) -> MotionSamples:
 
 def _at_wheel(board: AbstractVehicle, wheelset: Wheelset, wheel: Wheel, motion: Motion) -> dict[str, Wrench]:
     """The wrenches of a `wheel` by the names `AT_WHEEL`."""
-    at = board.placement(wheelset, {name: joint.angle for name, joint in motion.inputs.items()})
+    at, none = placement_of(board, wheelset, motion), jnp.zeros_like(motion.u)
     Y, X = sine_cosine(at.angle + wheel.joint.angle)
-    load, none = board.load(wheelset) + jnp.zeros_like(motion.u), jnp.zeros_like(motion.u)
-    falls = (force_at_wheel(board, wheelset, motion, *force) for force in ((load, none), (none, load)))
-    along, across = (X, Y, at.x * Y - at.y * X), (-Y, X, at.x * X + at.y * Y)
-    return dict(zip(AT_WHEEL, (along, across, *falls), strict=True))
+    load = board.load(wheelset) + none
+    forces = ((X, Y), (-Y, X), motion.into_body(load, none), motion.into_body(none, load))
+    return {name: wrench_at(at, *force) for name, force in zip(AT_WHEEL, forces, strict=True)}

@@ -17,11 +17,11 @@ A law is a sum of terms, each an amplitude times a product of variables and one 
                                    of a wheel there that does not steer, of the end of an arm that a joint turns
     dry friction, drag, grip,      in the plane also an oval or a rectangle with an edge
     rolling friction
-    grip and rolling friction of   functions of joints and of the wheel; for the grip also of other variables, as a load
-    one axle                       that goes from axle to axle
+    grip of one axle               functions of joints; as a load that goes from axle to axle also of other variables
+    rolling friction of one axle   a constant
     sliding friction of each       a constant
     wheel
-    force across each wheel        functions of joints and of the wheel
+    force across each wheel        functions of joints
     height of the floor under      in the plane a bump, a threshold, a stripe, a wave along a direction
     each wheel
     push of a joint                a yaw moment, the acceleration of a joint times a function of that joint
@@ -48,7 +48,6 @@ from .terms import (
     LOAD,
     NEWTON_METRE,
     NORTH,
-    OF_WHEEL,
     PUSH_SUFFIX,
     SIDE,
     SLIDING,
@@ -56,6 +55,7 @@ from .terms import (
     Action,
     Family,
     Range,
+    may_act,
     term_of,
 )
 from .units import is_sum, power, product, unit_of
@@ -78,12 +78,10 @@ def families(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]
     for variable, interval in ranges.items():
         for function in functions_of(variable, interval):
             for action in (*ACTIONS, *_of_axles(variable, wheel)):
-                if variable in wheel and action.name not in OF_WHEEL:
+                if not may_act(action, variable, wheel):
                     continue
                 if action.name in OF_GRIP and function.name in ("affine", "falling threshold"):
                     continue  # A constant part of the grip is that of the tyre, or of one tyre.
-                if action.name in OF_WHEEL and variable == "u":
-                    continue  # A wheel is alike in both directions: that is a function of the speed.
                 yield _of_one_variable(action, function, variable)
             if variable in WORLD_VARIABLES:
                 yield _along(WORLD, "world", function, variable)
@@ -110,11 +108,10 @@ def families(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]
 
 def _of_axles(variable: str, wheel: Sequence[str]) -> tuple[Action, ...]:
     """The actions that differ from axle to axle, which may depend on a variable; the grip of one axle alone and a force
-    across each wheel depend on joints and on the wheels themselves."""
+    across each wheel depend on joints."""
     if "axle" not in wheel:
         return ()
-    own = variable in wheel or variable.endswith(("_angle", "_rate"))
-    return (LOAD, FRONT, BACK, SIDE) if own else (LOAD,)
+    return (LOAD, FRONT, BACK, SIDE) if variable.endswith(("_angle", "_rate")) else (LOAD,)
 
 
 def _pushes(accelerations: Sequence[str], ranges: dict[str, Range]) -> Iterator[Family]:

@@ -24,7 +24,6 @@ from .terms import (
     EAST,
     HEIGHT,
     NORTH,
-    OF_WHEEL,
     PUSH_SUFFIX,
     WORLD_VARIABLES,
     Action,
@@ -33,6 +32,7 @@ from .terms import (
     ShapeParameter,
     Term,
     acting,
+    may_act,
 )
 from .units import is_direction, is_sum
 
@@ -106,12 +106,7 @@ def smooth_floors(ranges: dict[str, Range]) -> Iterator[Family]:
 
 def _actions(variable: str, wheel: Sequence[str]) -> tuple[Action, ...]:
     """What a function of a variable may act on; values at knots are the only parameters."""
-    known = tuple(action for action in ACTIONS if not action.shape)
-    if variable == "u":
-        # A wheel is alike in both directions: that is a function of the speed.
-        return tuple(action for action in known if action.name not in OF_WHEEL)
-    if variable in wheel:
-        return tuple(action for action in known if action.name in OF_WHEEL)
+    known = tuple(action for action in ACTIONS if not action.shape and may_act(action, variable, wheel))
     return (*known, EAST, NORTH) if variable in WORLD_VARIABLES else known
 
 

@@ -1,5 +1,6 @@
 """The vocabulary of laws: what may act, terms with units, and forms that are sums of terms."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -78,6 +79,13 @@ BODY_ACTION = "body"
 """The name of the action of a force on the body together with a yaw moment."""
 WORLD_VARIABLES = ("x", "y", "heading", "theta", "time")
 """The variables on which a force along the axes of the world may depend."""
+
+
+def may_act(action: Action, variable: str, wheel: Sequence[str]) -> bool:
+    """Whether an action may depend on a `variable`: on those of a `wheel` only what each wheel has for itself may, and
+    that depends on the speed and not on u, as a wheel is alike in both directions."""
+    of_wheel = action.name in OF_WHEEL
+    return of_wheel if variable in wheel else not (of_wheel and variable == "u")
 
 
 class Term(NamedTuple):
