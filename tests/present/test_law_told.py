@@ -3,6 +3,8 @@
 import dataclasses
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,8 +17,8 @@ from snakejax import TABLE_II, Board, Gait, InputError, Model, Pacejka, Run, Sin
 from snakejax.diagnosis.explanation import Explanation
 from snakejax.diagnosis.law.search import ProposedLaw
 from snakejax.diagnosis.law.terms import Family
-from snakejax.diagnosis.residuals.replays import replay_model
-from snakejax.dynamics.law import LawParameter, law
+from snakejax.diagnosis.residuals.replays import RunReplay, replay_model
+from snakejax.dynamics.law import Law, LawParameter, law
 from snakejax.estimation.uncertainty import Estimate
 from snakejax.present.as_json.saved import saved_fit
 from snakejax.present.as_json.schema import schema_of
@@ -25,7 +27,6 @@ from snakejax.present.as_text.first_lines import first_lines
 from snakejax.present.report import explanation_page
 from snakejax.present.report.charts import shape
 from snakejax.present.report.law_force import law_forces
-from snakejax.simulation.integrate import motions
 
 EXPRESSION = "grip = 1 - a * tanh((rotor_rate / s) ** 2)"
 NOTHING_SAID = {
@@ -125,21 +126,54 @@ FORCE = "east = k * (0.5 - x) + a * tanh(rotor_rate); N = -c * r"
 OF_FORCE = {"k": (0.4, "N/m"), "a": (0.1, "N"), "c": (0.02, "N m s")}
 
 
+def driven_by(effect: Law, constraint: str) -> tuple[Model, RunReplay, dict[str, np.ndarray]]:
+    """The law along a run that it drives: the model, the replay, and the force drawn."""
+    base = Model(Board(**TABLE_II, creep_speed=0.01), Pacejka(B=7.0, C=1.4, D=5.0, E=0.0), constraint)
+    model, gait = base.add(law_1=effect), Gait(*(Sines.of([[size, 4.0, 0.0]]) for size in (0.9, 1.6)))
+    times, start = jnp.arange(60) / 50, (0.1, 0.2, 0.3)
+    run = Run("driven", "train", times, simulate(model, gait, times, start).pose, gait)
+    replays = replay_model(model, [run], np.array([[*start, 0.0, 0.0, 0.0]]))
+    fitted: Any = SimpleNamespace(model=model, recordings=(run,))
+    return model, replays[0], law_forces(fitted, replays)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("constraint", ["free", "coupled"])
 def test_the_force_of_a_law_along_a_run_is_that_of_its_effect(constraint: str) -> None:
     effect = law(FORCE, {n: unit for n, (_, unit) in OF_FORCE.items()}, {n: v for n, (v, _) in OF_FORCE.items()})
-    base = Model(Board(**TABLE_II, creep_speed=0.01), Pacejka(B=7.0, C=1.4, D=5.0, E=0.0), constraint)
-    model, gait = base.add(law_1=effect), Gait(*(Sines.of([[size, 4.0, 0.0]]) for size in (0.9, 1.6)))
-    times, start = jnp.arange(60) / 50, (0.1, 0.2, 0.3)
-    driven = simulate(model, gait, times, start)
-    replays = replay_model(
-        model, [Run("driven", "train", times, driven.pose, gait)], np.array([[*start, 0.0, 0.0, 0.0]])
-    )
-    motion, _ = motions(model, gait, driven)
-    wrench = jax.vmap(lambda m: jnp.stack(effect.wrench(m._replace(board=model.board))))
-    np.testing.assert_allclose(law_forces([effect], replays)["driven"], wrench(motion._replace(wheels=())), atol=1e-9)
-    assert law_forces([law(EXPRESSION, UNITS, VALUES)], replays) == {}
+    _, replay, forces = driven_by(effect, constraint)
+    theta, r = replay.pose[:, 2] - replay.skid_angle, replay.velocity[:, 2]
+    east = 0.4 * (0.5 - replay.track.variables["x"]) + 0.1 * np.tanh(replay.track.variables["rotor_rate"])
+    expected = np.stack([east * np.cos(theta), -east * np.sin(theta), -0.02 * r], axis=1)
+    np.testing.assert_allclose(forces["driven"], expected, atol=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("expression", "units", "values"),
+    [
+        ("lateral = a * axle * steering_angle", {"a": "N/rad"}, {"a": 0.4}),
+        ("resistance = a * tanh(rolling_speed / 0.01)", {"a": "N"}, {"a": 0.3}),
+        ("height = a * wheel_x ** 2", {"a": "1/m"}, {"a": 0.05}),
+    ],
+)
+def test_the_force_of_a_law_at_the_wheels_accelerates_the_body_as_the_law_does(
+    expression: str, units: dict, values: dict
+) -> None:
+    effect = law(expression, units, values)
+    model, replay, forces = driven_by(effect, "free")
+    gait, without = Gait(*(Sines.of([[size, 4.0, 0.0]]) for size in (0.9, 1.6))), model.without("law_1")
+    for k in (7, 31, 59):
+        state, t = jax.tree.map(lambda leaf, k=k: leaf[k], replay.states), replay.times[k]
+        with_law, other = (np.array(one.rates(t, state, gait)[0][3:6]) for one in (model, without))
+        inertia = np.array([model.board.mass, model.board.mass, model.board.total_inertia])
+        np.testing.assert_allclose(forces["driven"][k], inertia * (with_law - other), rtol=1e-9, atol=1e-12)
+        assert np.abs(forces["driven"][k]).max() > 1e-3
+
+
+@pytest.mark.slow
+def test_a_law_that_is_a_factor_on_other_forces_has_no_force_of_its_own() -> None:
+    assert driven_by(law(EXPRESSION, UNITS, VALUES), "free")[2] == {}
 
 
 @pytest.mark.slow

@@ -30,6 +30,13 @@ def wrench_at(at: Placement, X: Scalar, Y: Scalar) -> Wrench:
     return X, Y, at.x * Y - at.y * X
 
 
+def wrench_of_wheel(at: Placement, steered: Scalar, along: Scalar, across: Scalar) -> Wrench:
+    """The wrench of a force [N] on a wheel `at` a place, `steered` by an angle [rad]: `along` the wheel, and `across`
+    it to its left."""
+    sine, cosine = sine_cosine(at.angle + steered)
+    return wrench_at(at, along * cosine - across * sine, along * sine + across * cosine)
+
+
 def weight_on_floor(height: Height, motion: Motion) -> Wrench:
     """The wrench (X, Y, N) [N, N, N m] of the weight on a floor of `height` h(x, y) [m].
 

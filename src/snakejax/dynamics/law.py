@@ -3,7 +3,7 @@
 import ast
 import functools
 import types
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ from snakejax.core.formula import SMOOTH_FUNCTIONS, evaluated, names_in, parsed
 from snakejax.core.parameter import Scalar, own_parameters, param
 
 from .contact import Motion, Wheel, Wrench, slip_angle
-from .floor import place_on_floor, placement_of, weight_on_floor
+from .floor import place_on_floor, placement_of, weight_on_floor, wrench_of_wheel
 from .ports import Effect, Force, LateralForce, RollingForce
 from .signals import Joint
 from .vehicle import AbstractVehicle, Wheelset
@@ -68,6 +68,11 @@ class Law(Effect):
                     return f"a {model.board.noun} has no variable `{name}`."
         return None
 
+    def force_on_body(self, motion: Motion) -> Wrench | None:
+        """What a law that adds forces does to the body; None for a law that changes the forces that are there."""
+        del motion
+        return None
+
 
 class ForceLaw(Law, Force):
     """A force on the body, along the axes of the body or of the world, and a yaw moment."""
@@ -78,6 +83,9 @@ class ForceLaw(Law, Force):
         part = {name: zero + evaluated(tree, known, jnp) for name, tree in self.formulas.items()}
         X, Y = motion.into_body(part.get("east", zero), part.get("north", zero))
         return X + part.get("X", zero), Y + part.get("Y", zero), part.get("N", zero)
+
+    def force_on_body(self, motion: Motion) -> Wrench:
+        return self.wrench(motion)
 
 
 class GripLaw(Law, LateralForce):
@@ -93,12 +101,20 @@ class LateralLaw(Law, LateralForce):
     def lateral(self, force: Scalar, wheel: Wheel, motion: Motion) -> Scalar:
         return force + _of_wheel(self, "lateral", wheel, motion)
 
+    def force_on_body(self, motion: Motion) -> Wrench:
+        zero = jnp.zeros_like(motion.u)
+        return _sum_over_wheels(motion, lambda wheel: (zero, -self.lateral(zero, wheel, motion)))
+
 
 class ResistanceLaw(Law, RollingForce):
     """A force on each wheel against its rolling forward."""
 
     def resistance(self, wheel: Wheel, motion: Motion) -> Scalar:
         return _of_wheel(self, "resistance", wheel, motion) + jnp.zeros_like(wheel.rolling)
+
+    def force_on_body(self, motion: Motion) -> Wrench:
+        zero = jnp.zeros_like(motion.u)
+        return _sum_over_wheels(motion, lambda wheel: (-self.resistance(wheel, motion), zero))
 
 
 class FloorLaw(Law, Force):
@@ -110,6 +126,20 @@ class FloorLaw(Law, Force):
             return evaluated(self.formulas["height"], known, jnp) + jnp.zeros_like(x)
 
         return weight_on_floor(height, motion)
+
+    def force_on_body(self, motion: Motion) -> Wrench:
+        return self.wrench(motion)
+
+
+def _sum_over_wheels(motion: Motion, force: Callable[[Wheel], tuple[Scalar, Scalar]]) -> Wrench:
+    """The wrench on the body of a `force` along and across each wheel [N]."""
+    board = motion.board
+    each = [
+        wrench_of_wheel(placement_of(board, wheel.wheelset, motion), wheel.joint.angle, *force(wheel))
+        for wheel in motion.wheels
+    ]
+    X, Y, N = (sum(parts, jnp.zeros_like(motion.u)) for parts in zip(*each, strict=True))
+    return X, Y, N
 
 
 def _of_wheel(law: Law, component: str, wheel: Wheel, motion: Motion) -> Scalar:

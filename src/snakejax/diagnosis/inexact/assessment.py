@@ -27,12 +27,12 @@ from .subsets import Subsets
 class Assessment(NamedTuple):
     """What a search has found.
 
-    `base`: effects that were in the model from the start; `effects`, the strongest first; `wide`: the problem under the
-    discrepancy of intervals (`interval_force`); `confidence` of each effect; `predicted`: runs left out; `evidence` of
-    what else is there; `check` of the held-out runs; `floor` (3,) [m, m, rad]: what vehicle and cameras leave of whole
-    runs; `bands` of all runs; `odd_runs` among the train runs; `candidate_set`: that of the search; `undecided_laws`:
-    formulas of laws among which the runs cannot choose, so that none of them is an effect; `law_force`: what is
-    missing without the law among the effects, and that law.
+    `base`: effects that were in the model from the start; `effects`, that which explains most first; `wide`: the
+    problem under the discrepancy of intervals (`interval_force`); `confidence` of each effect; `predicted`: runs left
+    out; `evidence` of what else is there; `check` of the held-out runs; `floor` (3,) [m, m, rad]: what vehicle and
+    cameras leave of whole runs; `bands` of all runs; `odd_runs` among the train runs; `candidate_set`: that of the
+    search; `undecided_laws`: formulas of laws among which the runs cannot choose, so that none of them is an effect;
+    `law_force`: what is missing without the law among the effects, and that law.
     """
 
     search: Search
@@ -117,7 +117,8 @@ def assess(
         expected = predicting = expected.without_force(scales.least_force)
     predicted = left_out(search, linear)
     sure = confidence(search, linear, predicted, laws, exact)
-    effects = tuple(sorted(sure, key=lambda effect: -sure[effect].cautious_fall))
+    contributions = predicted.contributions(tuple(sure))
+    effects = tuple(sorted(sure, key=lambda effect: -contributions[effect]))
     problem = linear.under(wide)
     search.progress(ProgressEvent(Phase.PREDICTIVE_CHECK))
     best = problem.with_effects(effects)

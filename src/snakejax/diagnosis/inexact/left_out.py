@@ -1,6 +1,7 @@
 """What effects are worth on runs left out: each train run predicted with parameters from the others."""
 
 from collections.abc import Iterable, Sequence
+from itertools import islice, permutations
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,9 @@ from .subsets import left_out_deviances, left_out_errors
 BLOCK = 8
 """Segments of a block (2 s). What a run gains is the sum of what its blocks gain, and a few runs have enough of them to
 tell by how much that sum varies: runs are unlike, so that of four of them one may hold most of the evidence."""
+
+MOST_ORDERS = 121
+"""Contributions are averaged over all orders of up to five effects, and over so many drawn orders of more."""
 
 
 class Gain(NamedTuple):
@@ -79,6 +83,23 @@ class LeftOut(NamedTuple):
     def share(self, effects: Sequence[str], effect: str) -> float:
         """The fall of the squared error of whole runs with `effect` beside `effects`, of the error without any."""
         return float((self.error(effects) - self.error([*effects, effect])).sum() / self.error([]).sum())
+
+    def contributions(self, effects: Sequence[str]) -> dict[str, float]:
+        """The part of the fall of the squared error of whole runs that is due to each of `effects`: the fall with it,
+        averaged over the orders in which the effects may be added (Shapley value; Lindeman, Merenda and Gold 1980). In
+        the order in which they happen to be taken, the first is credited with what it shares with later ones.
+        """
+        orders = list(islice(permutations(effects), MOST_ORDERS))
+        if len(orders) == MOST_ORDERS:
+            random = np.random.default_rng(0)
+            orders = [tuple(random.permutation(list(effects)).tolist()) for _ in orders]
+        errors = {s: self.error(s).sum() for s in {frozenset(o[:k]) for o in orders for k in range(len(o) + 1)}}
+        contributions = dict.fromkeys(effects, 0.0)
+        for order in orders:
+            for k, effect in enumerate(order):
+                fall = errors[frozenset(order[:k])] - errors[frozenset(order[: k + 1])]
+                contributions[effect] += float(fall) / len(orders)
+        return contributions
 
     def deviance(self, effects: Iterable[str]) -> Float[np.ndarray, " N"]:
         """-2 log density of each block that has samples with `effects`, as the other runs and the blocks before it

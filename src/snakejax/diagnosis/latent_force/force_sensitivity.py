@@ -6,10 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from snakejax.core.fast_math import sine_cosine
 from snakejax.core.parameter import with_parameters
 from snakejax.dynamics.contact import Motion, Wheel, Wrench
-from snakejax.dynamics.floor import placement_of, wrench_at
+from snakejax.dynamics.floor import placement_of, wrench_at, wrench_of_wheel
 from snakejax.dynamics.law import WHEEL_VARIABLES, wheel_variables
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.vehicle import AbstractVehicle, Wheelset
@@ -120,7 +119,7 @@ def motion_samples(model: Model, motion: Motion) -> MotionSamples:
 def _at_wheel(board: AbstractVehicle, wheelset: Wheelset, wheel: Wheel, motion: Motion) -> dict[str, Wrench]:
     """The wrenches of a `wheel` by the names `AT_WHEEL`."""
     at, none = placement_of(board, wheelset, motion), jnp.zeros_like(motion.u)
-    Y, X = sine_cosine(at.angle + wheel.joint.angle)
-    load = board.load(wheelset) + none
-    forces = ((X, Y), (-Y, X), motion.into_body(load, none), motion.into_body(none, load))
-    return {name: wrench_at(at, *force) for name, force in zip(AT_WHEEL, forces, strict=True)}
+    one, load = none + 1.0, board.load(wheelset) + none
+    falls = (wrench_at(at, *motion.into_body(*force)) for force in ((load, none), (none, load)))
+    own = (wrench_of_wheel(at, wheel.joint.angle, *force) for force in ((one, none), (none, one)))
+    return dict(zip(AT_WHEEL, (*own, *falls), strict=True))

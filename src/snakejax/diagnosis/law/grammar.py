@@ -21,7 +21,7 @@ A law is a sum of terms, each an amplitude times a product of variables and one 
     rolling friction of one axle   a constant
     sliding friction of each       a constant
     wheel
-    force across each wheel        functions of joints
+    force across each wheel        functions of joints, to the same side or to opposite sides ahead and behind
     height of the floor under      in the plane a bump, a threshold, a stripe, a wave along a direction
     each wheel
     push of a joint                a yaw moment, the acceleration of a joint times a function of that joint
@@ -48,6 +48,7 @@ from .terms import (
     LOAD,
     NEWTON_METRE,
     NORTH,
+    OPPOSITE_SIDES,
     PUSH_SUFFIX,
     SIDE,
     SLIDING,
@@ -111,7 +112,7 @@ def _of_axles(variable: str, wheel: Sequence[str]) -> tuple[Action, ...]:
     across each wheel depend on joints."""
     if "axle" not in wheel:
         return ()
-    return (LOAD, FRONT, BACK, SIDE) if variable.endswith(("_angle", "_rate")) else (LOAD,)
+    return (LOAD, FRONT, BACK, SIDE, OPPOSITE_SIDES) if variable.endswith(("_angle", "_rate")) else (LOAD,)
 
 
 def _pushes(accelerations: Sequence[str], ranges: dict[str, Range]) -> Iterator[Family]:

@@ -68,6 +68,8 @@ DRAGGING = tuple(
 """A dry friction of the wheels ahead of the middle alone, and of those behind it, against their rolling."""
 SIDE = Action("side", (("lateral", ""),), NEWTON)
 """A force across each wheel, beside that of its tyre, as of a wheel that leans."""
+OPPOSITE_SIDES = Action("opposite sides", (("lateral", "axle"),), NEWTON)
+"""The same, to the other side behind the middle, as of wheels that lean as they steer."""
 SLIDING = Action("sliding", (("lateral", "slip_speed / sqrt(slip_speed ** 2 + e ** 2)"),), NEWTON, (_BEGINS,))
 """A dry friction of each wheel against its lateral slip, beside the force of its tyre."""
 HEIGHT = Action("height", (("height", ""),), {"m": 1})

@@ -34,6 +34,7 @@ ACTIONS = {
     "back rolling": "a dry friction of the back wheels against their rolling, which begins over the speed e",
     "height": "a rise of the floor under the wheels",
     "side": "a force across each wheel, beside that of its tyre,",
+    "opposite sides": "a force across each wheel, beside that of its tyre, to the other side behind the middle,",
     "sliding": "a dry friction of each wheel against its lateral slip, beside the force of its tyre, which begins over"
     " the speed e",
     "rolling": "a dry friction of each wheel against its rolling, which begins over the speed e",

@@ -121,7 +121,7 @@ def explanation_page(explanation: Explanation, result: Json, models: Sequence[Mo
 def _force_charts(force: LatentForce, explanation: Explanation, models: Sequence[ModelView]) -> list[figures.Chart]:
     """The force of each run, and before them, where it depends on a variable, the force over that variable; each with
     the force of the laws of the final model."""
-    laws = law_forces(explanation.named_laws.values(), models[-1].scenes)
+    laws = law_forces(explanation.final.fitted, models[-1].scenes)
     charts = figures.missing(force, models[-1], laws)
     if force.depends_on and (force.shape is not None or laws):
         charts.insert(0, figures.shape(force, force.depends_on[0][0], models[-1] if laws else models[0], laws))

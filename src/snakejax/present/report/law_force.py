@@ -1,36 +1,50 @@
 """The force of laws along replayed runs, which the charts of a missing force draw over its estimate."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
+from typing import Any
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
-from snakejax.core.formula import evaluated
+from snakejax.core.parameter import Scalar
 from snakejax.diagnosis.residuals.replays import RunReplay
-from snakejax.dynamics.law import ForceLaw, Law
+from snakejax.dynamics.inputs import AbstractInputs
+from snakejax.dynamics.law import Law
+from snakejax.dynamics.model import Model
+from snakejax.estimation.batch import padded_length
+from snakejax.estimation.fitted_model import FittedModel
 
 
-def law_forces(laws: Iterable[Law], replays: Sequence[RunReplay]) -> dict[str, Float[np.ndarray, "n 3"]]:
-    """X, Y [N] and N [N m] of all `laws` together along each run, by its name.
+def law_forces(fitted: FittedModel, replays: Sequence[RunReplay]) -> dict[str, Float[np.ndarray, "n 3"]]:
+    """X, Y [N] and N [N m] of all laws of the `fitted` model together along each run, by its name; empty where no law
+    adds a force: one of the grip changes the forces that are there."""
+    model, forces = fitted.model, {}
+    runs, most = {run.name: run for run in fitted.recordings}, padded_length(fitted.recordings)
+    for replay in replays:
+        run, count = runs[replay.run], len(replay.times)
+        # Runs of all lengths share one program.
+        states, times = jax.tree.map(
+            lambda values, extra=most - count: np.concatenate([values, np.repeat(values[-1:], extra, axis=0)]),
+            (replay.states, replay.times),
+        )
+        force = _along(model.in_run(run.payload, run.codes), run.gait, times, states)
+        if force is None:
+            return {}
+        forces[replay.run] = np.asarray(force)[:count]
+    return forces
 
-    None where a law acts on each wheel, or depends on what a replay does not hold.
-    """
-    forces = [law for law in laws if isinstance(law, ForceLaw)]
-    if not forces:
-        return {}
-    try:
-        return {one.run: sum((_force(law, one) for law in forces), np.zeros((len(one.times), 3))) for one in replays}
-    except KeyError:
-        return {}
 
+@eqx.filter_jit
+def _along(model: Model, gait: AbstractInputs, times: Float[Array, " n"], states: Any) -> Float[Array, "n 3"] | None:
+    """The force of all laws at each state, None without any."""
+    laws = [effect for effect in model.effects.values() if isinstance(effect, Law)]
 
-def _force(law: ForceLaw, replay: RunReplay) -> Float[np.ndarray, "n 3"]:
-    theta = replay.pose[:, 2] - replay.skid_angle
-    known = {**replay.track.variables, "theta": theta, **dict(zip("uwr", replay.velocity.T, strict=True))}
-    known |= {name: float(value) for name, value in law.values().items()}
-    part = dict.fromkeys(("X", "Y", "N", "east", "north"), np.zeros(len(theta)))
-    for name, tree in law.formulas.items():
-        part[name] = part[name] + evaluated(tree, known, np)
-    c, s = np.cos(theta), np.sin(theta)
-    along, across = c * part["east"] + s * part["north"], c * part["north"] - s * part["east"]
-    return np.stack([part["X"] + along, part["Y"] + across, part["N"]], axis=1)
+    def at(t: Scalar, state: Any) -> Float[Array, "3"] | None:
+        motion = model.motion(t, state[0], gait)
+        forces = [force for law in laws if (force := law.force_on_body(motion)) is not None]
+        return sum((jnp.stack(force) for force in forces), jnp.zeros(3)) if forces else None
+
+    return jax.vmap(at)(times - model.delay(), states)

@@ -177,7 +177,7 @@ def law(explanation: Explanation, size: str, charts: Sequence[figures.Chart]) ->
     sentences = plain_sentences(
         f"{lacking}, along (X) and across (Y) the board and about its vertical (N), with 95% bands; its root mean"
         f" square is {size}.",
-        "The law is drawn in black, if it is a force on the body.",
+        "The law is drawn in black, if it is a force beside those of the tyres.",
         *(f"{name}: {effect.expression}." for name, effect in explanation.named_laws.items()),
         *law_sentences(explanation),
     )
