@@ -10,7 +10,7 @@ from scipy import stats
 
 from snakejax.core.errors import FitError
 from snakejax.core.parameter import Domain
-from snakejax.diagnosis.inexact import confidence, evidence
+from snakejax.diagnosis.inexact import confidence, evidence, explaining
 from snakejax.diagnosis.inexact.assessment import Assessment
 from snakejax.diagnosis.inexact.candidate_model import CandidateModel
 from snakejax.diagnosis.inexact.evidence import ModelEvidence
@@ -134,18 +134,52 @@ def test_a_run_left_out_has_the_density_of_what_the_others_predict() -> None:
     assert totals["a"] < totals[""] - 100
 
 
+def judged_by(subsets: Subsets, runs: np.ndarray) -> LeftOut:
+    """Runs left out, judged by the Gram matrices `runs`."""
+    of_blocks = (runs[:, None], np.zeros((len(runs), 1)), np.ones((len(runs), 1), bool))
+    linear: Any = SimpleNamespace(subsets=subsets, gram=runs)
+    return LeftOut(linear, runs, *of_blocks, 400)
+
+
 def test_an_effect_predicts_where_it_acts() -> None:
     made, runs = problem(7, {"a": 15.0})
 
-    class Linear:
-        subsets, gram = made, runs
-
-    alone = (runs[:, None], np.zeros((len(runs), 1)), np.ones((len(runs), 1), bool))
-    judged = LeftOut(Linear, runs, *alone, 400)  # type: ignore[arg-type]
+    judged = judged_by(made, runs)
     assert judged.gain("ab", "a").exceeds_standard_error
     explained_share = 1.0 - judged.error("a").sum() / judged.error([]).sum()
     assert 0 < judged.gain("ab", "a").share < explained_share + 0.05
     assert judged.gain("ab", "b").share < 0.02
+
+
+@pytest.mark.parametrize("effects", ["abcde", "abcdefg"])
+def test_contributions_add_up_and_rank_effects_however_they_are_listed(effects: str) -> None:
+    """h is nearly a, so that without either the other takes its place: neither is credited with nothing."""
+    subsets, runs = problem(4, {"a": 30.0, "b": 20.0, "c": 8.0})
+    left = judged_by(subsets, runs)
+    shares = left.contributions(tuple(effects))
+    again = left.contributions(tuple(reversed(effects)))
+    fall = (left.error([]) - left.error(effects)).sum()
+    assert sum(shares.values()) == pytest.approx(fall) and sorted(shares, key=lambda e: -shares[e])[:3] == [*"abc"]
+    assert shares["a"] == pytest.approx(again["a"], rel=0.05 if len(effects) > 5 else 1e-9)
+
+
+def test_twins_share_what_both_explain() -> None:
+    subsets, runs = problem(5, {"a": 30.0, "b": 20.0}, twins=0.99)
+    left = judged_by(subsets, runs)
+    shares = left.contributions(("a", "b", "h"))
+    alone = left.error(["b"]).sum() - left.error(["a", "b"]).sum()
+    assert shares["a"] == pytest.approx(alone / 2, rel=0.1) and shares["h"] == pytest.approx(alone / 2, rel=0.1)
+
+
+@pytest.mark.parametrize(("before", "after", "misleads"), [(9.0, 2.0, False), (9.0, 9.5, True), (None, None, False)])
+def test_effects_with_which_heldout_runs_are_further_off_explain_nothing(before, after, misleads) -> None:
+    def step(effects: tuple[str, ...], error: float | None) -> Any:
+        return SimpleNamespace(effects=effects, heldout=None if error is None else SimpleNamespace(misfit=error))
+
+    assert explaining._raises_heldout_error(step((), before), step(("law_1",), after)) is misleads
+    assert not explaining._raises_heldout_error(step((), before), step((), after)), "Nothing was added."
+    words = [explaining._word(word, misleads) for word in ("sure", "likely", "ambiguous")]
+    assert words == (["stand_in", "stand_in", "ambiguous"] if misleads else ["sure", "likely", "ambiguous"])
 
 
 def test_shares_of_steps_add_up() -> None:

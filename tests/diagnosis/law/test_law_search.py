@@ -145,7 +145,7 @@ _ROLLING = "rolling_speed / sqrt(rolling_speed ** 2 + 0.0004)"
 _BEGINS = "rolling_speed / sqrt(rolling_speed ** 2 + e ** 2)"
 _SPEED = "sqrt(u ** 2 + w ** 2 + 2.5e-05)"
 _DISTANCE = "sqrt((x - 0.2) ** 2 + (y + 0.3) ** 2)"
-_HUMP = "exp(-((x - 0.2) ** 2 + (y - 0.1) ** 2) / 0.5 ** 2)"
+_CORE = "((x - 0.2) ** 2 + (y - 0.1) ** 2 + 0.5 ** 2)"
 _LINE = _beyond("x", "y", "2.0", "0.2")
 _DOWN, _LETTERS = (("east", "0.1"), ("north", "-0.2")), (("east", "a"), ("north", "b"))
 _PUSHES = (("east", "a"), ("north", "f"))
@@ -384,18 +384,22 @@ CASES = {
         ),
     ),
     "whirl": (
-        law_of(("east", f"-0.6 * (y - 0.1) * {_HUMP}"), ("north", f"0.6 * (x - 0.2) * {_HUMP}")),
+        law_of(("east", f"-0.3 * (y - 0.1) / {_CORE}"), ("north", f"0.3 * (x - 0.2) / {_CORE}")),
         (
             "; ".join(
-                f"{side} = {way} * exp(-((x - x0) ** 2 + (y - y0) ** 2) / s ** 2)"
+                f"{side} = {way} / ((x - x0) ** 2 + (y - y0) ** 2 + s ** 2)"
                 for side, way in (("east", "-a * (y - y0)"), ("north", "a * (x - x0)"))
             ),
-            {"a": (0.6, "N/m"), "x0": (0.2, "m"), "y0": (0.1, "m"), "s": (0.5, "m")},
+            {"a": (0.3, "N m"), "x0": (0.2, "m"), "y0": (0.1, "m"), "s": (0.5, "m")},
         ),
     ),
-    "wheels that lean as they steer": (
+    "wheels that lean as a joint turns": (
         law_of(("lateral", "0.5 * tanh(steering_angle / 0.4)")),
         ("lateral = a * tanh(steering_angle / s)", {"a": (0.5, "N"), "s": (0.4, "rad")}),
+    ),
+    "wheels that lean as they steer": (
+        law_of(("lateral", "0.5 * axle * tanh(steering_angle / 0.4)")),
+        ("lateral = a * axle * tanh(steering_angle / s)", {"a": (0.5, "N"), "s": (0.4, "rad")}),
     ),
     "jet ahead of the centre": (
         law_of(("Y", "0.03 * rotor_rate * abs(rotor_rate)"), ("N", "0.009 * rotor_rate * abs(rotor_rate)")),

@@ -21,6 +21,7 @@ from ..selection.criteria import SelectionCriteria
 from ..selection.steps import SelectionStep
 from .assessment import Assessment, assess
 from .candidate_model import candidate_model, movable_parameters
+from .confidence import LIKELY, STAND_IN, SURE
 from .evidence import ModelEvidence
 from .fitted_law import FittedLaw
 from .laws import LawChoices, choose_laws
@@ -107,13 +108,15 @@ def explanation_of(
     case: Case, noise: Noise, assessment: Assessment, steps: Sequence[SelectionStep], explained: bool
 ) -> Explanation:
     """The explanation with the effects of `assessment`, which the `steps` from the base on add; `explained`: whether
-    held-out runs are as it predicts them."""
+    held-out runs are as it predicts them. Effects with which these are further off than without any explain nothing,
+    however wide the bands of a prediction are."""
     base, final = steps[0], steps[-1]
+    misleads = _raises_heldout_error(base, final)
     better = calibrated(assessment) if final is base else None
     if better is not None and better.train.misfit < base.train.misfit:
         final = better
     claimed = tuple(effect for effect in final.effects if effect not in base.effects)
-    verdict = ("explained" if claimed else "adequate") if explained else "unexplained"
+    verdict = ("explained" if claimed else "adequate") if explained and not misleads else "unexplained"
     noise_floor = PoseError(
         float(np.hypot(assessment.floor[0], assessment.floor[1])),
         float(assessment.floor[2]),
@@ -122,7 +125,7 @@ def explanation_of(
     share, explained_share = shares_of(steps)
     remainder = _remainder(final, noise_floor, assessment.undecided_laws)
     missing = None
-    if not explained and assessment.evidence.has_force:
+    if verdict == "unexplained" and assessment.evidence.has_force:
         point = assessment.linear.point._replace(values=assessment.values)
         force = random_force(assessment.search, point, assessment.candidate_set.switched)
         missing = dataclasses.replace(force, depends_on=remainder.depends_on)
@@ -135,7 +138,7 @@ def explanation_of(
         () if verdict == "explained" else claimed,
         base.left_out,
         missing,
-        confidence={effect: assessment.confidence[effect].word for effect in assessment.effects},
+        confidence={effect: _word(assessment.confidence[effect].word, misleads) for effect in assessment.effects},
         share=share,
         explained_share=explained_share,
         floor=noise_floor,
@@ -147,6 +150,18 @@ def explanation_of(
         law=assessment.law_force,
         calibrated=None if final is steps[-1] else final,
     )
+
+
+def _raises_heldout_error(base: SelectionStep, final: SelectionStep) -> bool:
+    """Whether held-out runs are further off with the effects that `final` adds to the `base`."""
+    if set(final.effects) <= set(base.effects) or base.heldout is None or final.heldout is None:
+        return False
+    return not final.heldout.misfit < base.heldout.misfit
+
+
+def _word(word: str, misleads: bool) -> str:
+    """How sure an effect is, by the `word` of the train runs, and by held-out runs that the model `misleads`."""
+    return STAND_IN if misleads and word in (SURE, LIKELY) else word
 
 
 def shares_of(steps: Sequence[SelectionStep]) -> tuple[dict[str, float], float]:

@@ -21,8 +21,10 @@ def of_a_point(shapes: PlaneShapes, angle: str) -> Iterator[Family]:
     bump = "exp(-((x - x0) ** 2 + (y - y0) ** 2) / s ** 2)"
     slope = (("east", f"(x - x0) * {bump}"), ("north", f"(y - y0) * {bump}"))
     yield Family("hill", "world", PLACE, (Term("a", PER_METRE, slope),), (*shapes.point, shapes.width))
-    whirl = (("east", f"-(y - y0) * {bump}"), ("north", f"(x - x0) * {bump}"))
-    yield Family("whirl", "world", PLACE, (Term("a", PER_METRE, whirl),), (*shapes.point, shapes.width))
+    # The vortex of Kaufmann (1962): a solid whirl inside of s, and a velocity that falls with the distance beyond.
+    core = " / ((x - x0) ** 2 + (y - y0) ** 2 + s ** 2)"
+    whirl = (("east", f"-(y - y0){core}"), ("north", f"(x - x0){core}"))
+    yield Family("whirl", "world", PLACE, (Term("a", {"N": 1, "m": 1}, whirl),), (*shapes.point, shapes.width))
     # Without a slack length it is a spring, and without a corner nobody can follow its slope.
     taut = _taut("sqrt((x - x0) ** 2 + (y - y0) ** 2 + s ** 2)")
     slack = ShapeParameter("d", METRE, tuple(shapes.size * part for part in (0.2, 0.5, 0.8)), 0.0, 5 * shapes.size)

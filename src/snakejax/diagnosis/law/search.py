@@ -155,7 +155,22 @@ def _proposals(windows: ForceWindows, trials: Sequence[Trial], forms: int, nothi
             law = _proposed(trial, windows.samples, score)._replace(share=share, forms=forms)
             if law.expression not in laws or score < laws[law.expression].score:
                 laws[law.expression] = law
-    return _of_all_wheels(sorted(laws.values(), key=lambda law: law.score))
+    return _of_all_wheels(_without_limits(sorted(laws.values(), key=lambda law: law.score), windows.samples))
+
+
+def _without_limits(laws: list[ProposedLaw], samples: int) -> list[ProposedLaw]:
+    """`laws` without those that do as one of the same action and variables with fewer parameters does: they are that
+    law, at a limit of their shape, as |v| is for a corner that is round over nothing."""
+
+    def is_limit(law: ProposedLaw) -> bool:
+        return any(
+            (one.family.action, one.family.variables) == (law.family.action, law.family.variables)
+            and len(one.parameters) < len(law.parameters)
+            and (one.left_out - law.left_out) * samples < ALIKE
+            for one in laws
+        )
+
+    return [law for law in laws if not is_limit(law)]
 
 
 def _of_all_wheels(laws: list[ProposedLaw]) -> list[ProposedLaw]:
