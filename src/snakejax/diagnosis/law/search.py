@@ -159,14 +159,14 @@ def _proposals(windows: ForceWindows, trials: Sequence[Trial], forms: int, nothi
 
 
 def _without_limits(laws: list[ProposedLaw], samples: int) -> list[ProposedLaw]:
-    """`laws` without those that do as one of the same action and variables with fewer parameters does: they are that
-    law, at a limit of their shape, as |v| is for a corner that is round over nothing."""
+    """`laws` without those that do exactly as one of the same action and variables with fewer parameters does: they are
+    that law, at a limit of their shape, as |v| is with a corner that is round over nothing."""
 
     def is_limit(law: ProposedLaw) -> bool:
         return any(
             (one.family.action, one.family.variables) == (law.family.action, law.family.variables)
             and len(one.parameters) < len(law.parameters)
-            and (one.left_out - law.left_out) * samples < ALIKE
+            and abs(one.left_out - law.left_out) * samples < ALIKE
             for one in laws
         )
 
