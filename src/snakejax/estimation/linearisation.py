@@ -1,6 +1,6 @@
 """Linearisation of whole runs: the variables of a fit, residuals of many runs, and their Jacobian."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -130,6 +130,17 @@ def _with_active_effects(model: Model, at: Variables, values: Float[Array, " P"]
     return model.with_active(active_effects(named, moving))
 
 
+def derivatives(function: Callable, size: int, has_aux: bool = False) -> tuple:
+    """`function` at zeros (size,), and its derivatives by them in a last axis; with `has_aux` also the second of its
+    two results as it is. All are taken together, in a multiple of `LANES`."""
+    zero = jnp.zeros(size)
+    along = jax.vmap(
+        lambda d: jax.jvp(function, (zero,), (d,), has_aux=has_aux), out_axes=(None, -1, *[None] * has_aux)
+    )
+    value, slopes, *aux = along(jnp.eye(-(-size // LANES) * LANES, size))
+    return value, jax.tree.map(lambda part: part[..., :size], slopes), *aux
+
+
 def linearise(model, at: Variables, batch: Batch, order, count, steps, start_steps, accuracy) -> Linearised:
     """Residuals and Jacobian at `at` moved by `steps` (K,) and `start_steps` (R, S), for the runs `order[:count]`.
 
@@ -150,8 +161,7 @@ def linearise(model, at: Variables, batch: Batch, order, count, steps, start_ste
             values = retract(domains, at, steps + z[:width])
             return _run_residual(model, at.names, values, start + free * (shift + z[width:]), data, accuracy)
 
-        zero = jnp.zeros(width + depth)
-        r, J = jax.vmap(lambda d: jax.jvp(residual, (zero,), (d,)), out_axes=(None, -1))(jnp.eye(width + depth))
+        r, J = derivatives(residual, width + depth)
         r = jnp.where((jnp.abs(J[..., width:]) > LARGEST_DERIVATIVE).any(), jnp.inf, r)
         return Linearised(linearised.residual.at[k].set(r), linearised.jacobian.at[k].set(J))
 

@@ -14,7 +14,7 @@ from snakejax.dynamics.model import Model
 from snakejax.dynamics.vehicle import AbstractVehicle, Wheelset
 from snakejax.estimation.batch import Batch
 from snakejax.estimation.kept_program import KeptProgram
-from snakejax.estimation.linearisation import Variables, domains_of, retract
+from snakejax.estimation.linearisation import Variables, derivatives, domains_of, retract
 from snakejax.simulation.integrate import Accuracy, motions, simulate
 
 from .piecewise_force import SPACING, FreeForce, FreeGrip
@@ -82,11 +82,7 @@ def _linearise_in_force(model: Model, at: Variables, batch: Batch, grid, knots):
             weighted = jnp.where(piece.weight > 0, (piece.pose - path.pose) * piece.weight, 0.0)
             return weighted, _track(driven, piece.gait, path)
 
-        def along(direction):
-            return jax.jvp(residual, (jnp.zeros(size),), (direction,), has_aux=True)
-
-        r, J, track = jax.vmap(along, out_axes=(None, -1, None))(jnp.eye(size))
-        return r, J, track
+        return derivatives(residual, size, has_aux=True)
 
     return jax.lax.map(window, (batch, at.start, at.free_start, grid, knots))
 

@@ -17,11 +17,10 @@ from snakejax.dynamics.model import Model
 from snakejax.dynamics.ports import Force
 
 from ..kept_program import KeptProgram
+from ..linearisation import derivatives
 
 NODES, WEIGHTS = np.array([0.0, 0.5, 0.5, 1.0]), np.array([1.0, 2.0, 2.0, 1.0]) / 6.0
 """The classical Runge-Kutta method of order 4: a stage begins at the slope of the one before it."""
-LANES = 8
-"""Derivatives are taken in multiples of so many: what vector instructions do at a time."""
 BODY, FORCE = 6, 3
 """Numbers of the state of the body and of the force."""
 
@@ -114,9 +113,7 @@ def linearised_segments(model: Model, stated, names, multiplicative, values, sub
         def outputs(d):
             return _integrated(_at(model, names, multiplicative, values, d[:P]), stated, sub, segment, z + d[P:])
 
-        zero, rows = jnp.zeros(P + nz), -(-(P + nz) // LANES) * LANES
-        along = jax.vmap(lambda d: jax.jvp(outputs, (zero,), (d,)), out_axes=(None, -1))(jnp.eye(rows, P + nz))
-        return along[0], jax.tree.map(lambda part: part[..., : P + nz], along[1])
+        return derivatives(outputs, P + nz)
 
     return jax.vmap(one)(segments, z)
 
