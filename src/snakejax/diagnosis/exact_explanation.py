@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from itertools import pairwise
 
-from snakejax.estimation.goodness_of_fit import consistent_with_noise, largest_noise_misfit
+from snakejax.estimation.goodness_of_fit import consistent_with_noise
 from snakejax.recording.run import Case, Noise
 
 from .exact_checks import STATED_WELL, bands_of, odd_runs_beside
@@ -12,7 +12,7 @@ from .inexact.confidence import AMBIGUOUS, STAND_IN, SURE
 from .inexact.explaining import shares_of
 from .latent_force.missing_force import LatentForce
 from .selection.acceptance import heldout_consistent
-from .selection.steps import SelectionStep, indistinguishable
+from .selection.steps import SelectionStep, indistinguishable, raises_heldout_error
 from .selection.working_step import WorkingStep
 
 
@@ -30,16 +30,22 @@ def exact_explanation(
     steps: tuple[SelectionStep, ...],
     law: LatentForce | None = None,
 ) -> Explanation:
-    """The explanation by the `last` step, which leaves only noise; `law`: the force in which a law of it was found."""
+    """The explanation by the `last` step, which leaves only noise; `law`: the force in which a law of it was found.
+
+    Train runs may not determine its values well enough for the held-out runs. Where these are further off with it than
+    without, it explains only the train runs.
+    """
     final = steps[-1]
+    misleads = raises_heldout_error(steps[0], final)
+    verdict = "unexplained" if misleads else "explained" if final.effects else "adequate"
     share, explained_share = shares_of(steps)
     return Explanation(
         case,
         noise,
         steps,
-        "explained" if final.effects else "adequate",
-        final.effects,
-        (),
+        verdict,
+        () if misleads else final.effects,
+        final.effects if misleads else (),
         steps[0].left_out,
         None,
         confidence={effect: confidence_where_exact(steps, effect) for effect in final.effects},
@@ -56,7 +62,7 @@ def confidence_where_exact(steps: Sequence[SelectionStep], effect: str) -> str:
     One with which held-out runs are further off may stand in for something else."""
     if indistinguishable(steps, effect):
         return AMBIGUOUS
-    if _raises_heldout_error(steps, effect):
+    if any(after.name == effect and raises_heldout_error(before, after) for before, after in pairwise(steps)):
         return STAND_IN
     final = steps[-1]
     port = final.model.effects.get(effect)
@@ -65,12 +71,3 @@ def confidence_where_exact(steps: Sequence[SelectionStep], effect: str) -> str:
         if abs(final.estimates_of(effect)[name].value) < STATED_WELL * stated_sd.get(constant, 0.0):
             return STAND_IN
     return SURE
-
-
-def _raises_heldout_error(steps: Sequence[SelectionStep], effect: str) -> bool:
-    """Whether held-out runs are further off with the step that adds `effect`, and further than noise."""
-    for before, after in pairwise(steps):
-        if after.name == effect and before.heldout is not None and after.heldout is not None:
-            error = after.heldout.misfit
-            return error > max(before.heldout.misfit, largest_noise_misfit(after.heldout.samples))
-    return False

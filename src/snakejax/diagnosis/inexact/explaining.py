@@ -18,7 +18,7 @@ from ..residuals.dependence import general_name, residual_dependence, significan
 from ..residuals.replays import replay_runs
 from ..selection.candidates import CandidateSet
 from ..selection.criteria import SelectionCriteria
-from ..selection.steps import SelectionStep
+from ..selection.steps import SelectionStep, raises_heldout_error
 from .assessment import Assessment, assess
 from .candidate_model import candidate_model, movable_parameters
 from .confidence import LIKELY, STAND_IN, SURE
@@ -111,11 +111,11 @@ def explanation_of(
     held-out runs are as it predicts them. Effects with which these are further off than without any explain nothing,
     however wide the bands of a prediction are."""
     base, final = steps[0], steps[-1]
-    misleads = _raises_heldout_error(base, final)
     better = calibrated(assessment) if final is base else None
     if better is not None and better.train.misfit < base.train.misfit:
         final = better
     claimed = tuple(effect for effect in final.effects if effect not in base.effects)
+    misleads = bool(claimed) and raises_heldout_error(base, final)
     verdict = ("explained" if claimed else "adequate") if explained and not misleads else "unexplained"
     noise_floor = PoseError(
         float(np.hypot(assessment.floor[0], assessment.floor[1])),
@@ -150,13 +150,6 @@ def explanation_of(
         law=assessment.law_force,
         calibrated=None if final is steps[-1] else final,
     )
-
-
-def _raises_heldout_error(base: SelectionStep, final: SelectionStep) -> bool:
-    """Whether held-out runs are further off with the effects that `final` adds to the `base`."""
-    if set(final.effects) <= set(base.effects) or base.heldout is None or final.heldout is None:
-        return False
-    return not final.heldout.misfit < base.heldout.misfit
 
 
 def _word(word: str, misleads: bool) -> str:

@@ -9,7 +9,7 @@ from snakejax.core.tabular import Tabular, three_digits
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.dynamics.model import Model
 from snakejax.estimation.fitted_model import FittedModel
-from snakejax.estimation.goodness_of_fit import RunScore, Score
+from snakejax.estimation.goodness_of_fit import RunScore, Score, largest_noise_misfit
 from snakejax.estimation.uncertainty import Estimate
 
 from .criteria import CRITERIA, SelectionCriteria
@@ -122,6 +122,13 @@ class SelectionStep(Tabular):
         if effect in self.model.effects:
             return self.model.effects[effect].description
         return next((row.description for row in self.ranking if row.effect == effect), "")
+
+
+def raises_heldout_error(before: SelectionStep, after: SelectionStep) -> bool:
+    """Whether held-out runs are further off with the step `after` than with that `before`, and further than noise."""
+    if before.heldout is None or after.heldout is None:
+        return False
+    return not after.heldout.misfit <= max(before.heldout.misfit, largest_noise_misfit(after.heldout.samples))
 
 
 def indistinguishable(steps: Sequence[SelectionStep], effect: str) -> tuple[str, ...]:
