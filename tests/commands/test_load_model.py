@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.command_inputs import WORLD_SPRING
 from helpers.folders import DATA
 
 import snakejax as sj
@@ -14,19 +15,6 @@ from snakejax.commands.requested_model import requested_model
 LEVEL = DATA / "level-board"
 SLOPE_Y = "effects.ground_slope.sy"
 GIVEN = ["--set", "B=7.6,C=1.5,D=8.5,E=-0.1", "--start", "0,0,0.3"]
-OWN = """
-import jax.numpy as jnp
-import snakejax as sj
-
-
-class WorldSpring(sj.Force):
-    description = "A spring pulls the board to the origin."
-    k: sj.Scalar = sj.param("N/m", low=0.0, default=0.0)
-
-    def wrench(self, motion):
-        X, Y = motion.into_body(-self.k * motion.x, -self.k * motion.y)
-        return X, Y, jnp.zeros_like(X)
-"""
 
 
 def end_of(model: sj.Model) -> np.ndarray:
@@ -62,7 +50,7 @@ def test_a_written_model_gives_the_same_simulation(words: tuple[str, ...], tmp_p
 @pytest.mark.slow
 def test_an_effect_of_ones_own_is_given_again(tmp_path: Path) -> None:
     own = tmp_path / "mine.py"
-    own.write_text(OWN, encoding="utf-8")
+    own.write_text(WORLD_SPRING, encoding="utf-8")
     path, end = written(tmp_path, "--with", f"{own}:WorldSpring:k=0.5")
     with pytest.raises(sj.InputError, match="`world_spring`, which is not built in"):
         sj.load_model(path)

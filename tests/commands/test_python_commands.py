@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.command_inputs import TRAIN_CASE
 from helpers.folders import DATA
 
 import snakejax as sj
@@ -15,28 +16,6 @@ from snakejax.commands.cli.main import parser
 from snakejax.effects import GroundSlope
 
 LEVEL = DATA / "level-board"
-SHORT = """
-skid = "free"
-[board]
-mass_kg = 7.0
-rotor_inertia_kgm2 = 0.0238
-wheelset_inertia_kgm2 = 0.001
-half_length_m = 0.25
-creep_speed_mps = 0.01
-[noise]
-position_m = 0.0004
-heading_rad = 0.0025
-[actuator]
-kp = 100.0
-kd = 10.0
-[[runs]]
-role = "train"
-mocap = "train-forward-1.csv"
-object = "board:board"
-phi = [[0.916, 4.0, 0.0]]
-psi = [[1.57, 4.0, 0.0]]
-window_s = [0.0, 4.0]
-"""
 GIVEN = {"free": "B,D", "set": {"C": 1.5, "E": -0.12}}
 WORDS = ["--free", "B,D", "--set", "C=1.5,E=-0.12"]
 
@@ -46,7 +25,7 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small case: four seconds of one run, in which the cameras followed another body for 30 frames."""
     folder = tmp_path_factory.mktemp("cases") / "short-board"
     folder.mkdir()
-    (folder / "case.toml").write_text(SHORT, encoding="utf-8")
+    (folder / "case.toml").write_text(TRAIN_CASE, encoding="utf-8")
     lines = (LEVEL / "train-forward-1.csv").read_bytes().decode().split("\r\n")
     for row in range(200, 230):
         cells = lines[row].split(",")
@@ -77,7 +56,7 @@ def test_a_fit_in_python_is_that_of_the_command(short: Path, fitted: sj.Fit, tmp
 @pytest.mark.slow
 def test_a_case_without_noise_is_fitted_by_the_estimated_one(short: Path, tmp_path: Path) -> None:
     folder = shutil.copytree(short, tmp_path / "short-board")
-    text = SHORT.replace("[noise]\nposition_m = 0.0004\nheading_rad = 0.0025\n", "")
+    text = TRAIN_CASE.replace("[noise]\nposition_m = 0.0004\nheading_rad = 0.0025\n", "")
     (folder / "case.toml").write_text(text, encoding="utf-8")
     with pytest.warns(UserWarning):
         found = sj.fit(sj.load_case(folder), **GIVEN)

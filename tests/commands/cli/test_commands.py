@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 import pytest
+from helpers.command_inputs import SHORT_CASE, WORLD_SPRING
 from helpers.folders import DATA
 from helpers.schema import deviations
 from rich.console import Console
@@ -28,56 +29,6 @@ from snakejax.present.as_text.fit import runs_table
 
 LEVEL = DATA / "level-board"
 LINE = re.compile(r"snakejax: error: [^\n]+, [^\n]+: [^\n]+\n")
-
-SHORT = """
-title = "the first seconds of level-board"
-skid = "free"
-
-[board]
-mass_kg = 7.0
-rotor_inertia_kgm2 = 0.0238
-wheelset_inertia_kgm2 = 0.001
-half_length_m = 0.25
-creep_speed_mps = 0.01
-
-[noise]
-position_m = 0.0004
-heading_rad = 0.0025
-
-[actuator]
-kp = 100.0
-kd = 10.0
-
-[[runs]]
-role = "train"
-mocap = "train-forward-1.csv"
-object = "board:board"
-phi = [[0.916, 4.0, 0.0]]
-psi = [[1.57, 4.0, 0.0]]
-window_s = [0.0, 4.0]
-
-[[runs]]
-role = "heldout"
-mocap = "heldout-reverse-1.csv"
-object = "board:board"
-phi = [[0.7, 3.0, 0.0]]
-psi = [[1.4, 3.0, 3.14159265]]
-window_s = [0.0, 4.0]
-"""
-
-SPRING = """
-import jax.numpy as jnp
-import snakejax as sj
-
-
-class WorldSpring(sj.Force):
-    description = "A spring pulls the board to the origin."
-    k: sj.Scalar = sj.param("N/m", low=0.0, default=0.0)
-
-    def wrench(self, motion):
-        X, Y = motion.into_body(-self.k * motion.x, -self.k * motion.y)
-        return X, Y, jnp.zeros_like(X)
-"""
 
 
 class Said(NamedTuple):
@@ -110,7 +61,7 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small case: four seconds of two runs."""
     folder = tmp_path_factory.mktemp("cases") / "short-board"
     folder.mkdir()
-    (folder / "case.toml").write_text(SHORT, encoding="utf-8")
+    (folder / "case.toml").write_text(SHORT_CASE, encoding="utf-8")
     for name in ("train-forward-1.csv", "heldout-reverse-1.csv"):
         (folder / name).write_bytes((LEVEL / name).read_bytes())
     return folder
@@ -404,7 +355,7 @@ def test_several_cases_and_one_that_is_wrong(say, short: Path, tmp_path: Path) -
 @pytest.mark.slow
 def test_an_effect_of_ones_own_is_fitted(say, short: Path, tmp_path: Path) -> None:
     own = tmp_path / "mine.py"
-    own.write_text(SPRING, encoding="utf-8")
+    own.write_text(WORLD_SPRING, encoding="utf-8")
     path = tmp_path / "fit.json"
     said = say("fit", short, "--model", "ideal", "--effect", f"{own}:WorldSpring", "--json", path)
     assert said.status == 0

@@ -19,6 +19,14 @@ from snakejax.dynamics.law import (
 
 _SPEED = "jnp.sqrt(motion.u**2 + motion.w**2 + 1e-12)"
 _OF_WHEEL = "sj.dynamics.wheel_variables(motion.board, wheel.wheelset, wheel, motion)"
+_AT_WHEEL = "lateral(self, force, wheel, motion)"
+_WRITTEN: dict[type[Law], tuple[str, str, str]] = {
+    FloorLaw: ("wrench(self, motion)", "Force", "sj.dynamics.weight_on_floor(height, motion)"),
+    GripLaw: (_AT_WHEEL, "LateralForce", "force * grip"),
+    LateralLaw: (_AT_WHEEL, "LateralForce", "force + lateral"),
+    ResistanceLaw: ("resistance(self, wheel, motion)", "RollingForce", "jnp.zeros_like(wheel.rolling) + resistance"),
+}
+"""The method, the port and what is returned, by the kind of law; a force on the body returns what it sets."""
 
 
 def law_source(law: Law, beside: Sequence[str] = ()) -> str:
@@ -35,21 +43,9 @@ def law_source(law: Law, beside: Sequence[str] = ()) -> str:
         code = _code(tree, known)
         of_place = [f"def height({', '.join(PLACE_OF_WHEEL)}):", f"    return {code}"]
         lines += of_place if component == "height" else [f"{component} = {code}"]
-    if isinstance(law, FloorLaw):
-        method, port = "wrench(self, motion)", "Force"
-        lines.append("return sj.dynamics.weight_on_floor(height, motion)")
-    elif isinstance(law, GripLaw):
-        method, port = "lateral(self, force, wheel, motion)", "LateralForce"
-        lines.append("return force * grip")
-    elif isinstance(law, LateralLaw):
-        method, port = "lateral(self, force, wheel, motion)", "LateralForce"
-        lines.append("return force + lateral")
-    elif isinstance(law, ResistanceLaw):
-        method, port = "resistance(self, wheel, motion)", "RollingForce"
-        lines.append("return jnp.zeros_like(wheel.rolling) + resistance")
-    else:
-        method, port = "wrench(self, motion)", "Force"
-        lines += _returned(law)
+    kind = next((kind for kind in _WRITTEN if isinstance(law, kind)), None)
+    method, port, returned = ("wrench(self, motion)", "Force", "") if kind is None else _WRITTEN[kind]
+    lines += [f"return {returned}"] if returned else _returned(law)
     declared = "\n".join(
         f'    {name}: sj.Scalar = sj.param("{domain.unit}", default={float(value)!r})' for name, value, domain in fields
     )
