@@ -40,6 +40,9 @@ def parsed(text: str) -> ast.expr:
             raise InputError(
                 what, "expression", f"use names, numbers, + - * / ** and {', '.join((*FUNCTIONS, *SMOOTH_FUNCTIONS))}"
             )
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call):
+            node.text = ast.unparse(node)  # type: ignore[attr-defined]
     return tree
 
 
@@ -74,22 +77,35 @@ def names_in(tree: ast.expr) -> tuple[str, ...]:
     return tuple(dict.fromkeys(node.id for node in sorted(nodes, key=lambda node: (node.lineno, node.col_offset))))
 
 
-def evaluated(tree: ast.expr, values: Mapping[str, Any], library: Any) -> Any:
-    """The value of a formula at `values`, with the functions of `library`, which is `numpy` or `jax.numpy`."""
+def evaluated(tree: ast.expr, values: Mapping[str, Any], library: Any, known: dict[str, Any] | None = None) -> Any:
+    """The value of a formula at `values`, with the functions of `library`, which is `numpy` or `jax.numpy`.
+
+    `known`: calls of functions at these values by their text, which other formulas have evaluated; new ones are added.
+    """
     if isinstance(tree, ast.Constant):
         return float(tree.value)  # type: ignore[arg-type]
     if isinstance(tree, ast.Name):
         return values[tree.id]
     if isinstance(tree, ast.UnaryOp):
-        return -evaluated(tree.operand, values, library)
+        return -evaluated(tree.operand, values, library, known)
     if isinstance(tree, ast.Call):
-        given = [evaluated(part, values, library) for part in tree.args]
-        name: str = tree.func.id  # type: ignore[union-attr]
-        smooth = SMOOTH_FUNCTIONS.get(name)
-        return getattr(library, name)(*given) if smooth is None else smooth(*given, library=library)
+        if known is None:
+            return _called(tree, values, library, None)
+        text: str = tree.text  # type: ignore[attr-defined]
+        if text not in known:
+            known[text] = _called(tree, values, library, known)
+        return known[text]
     assert isinstance(tree, ast.BinOp)
-    left = evaluated(tree.left, values, library)
+    left = evaluated(tree.left, values, library, known)
     if isinstance(tree.op, ast.Pow):
-        power = evaluated(tree.right, values, library)
+        power = evaluated(tree.right, values, library, known)
         return left ** (int(power) if power == int(power) else power)
-    return _OPERATORS[type(tree.op)](left, evaluated(tree.right, values, library))
+    return _OPERATORS[type(tree.op)](left, evaluated(tree.right, values, library, known))
+
+
+def _called(tree: ast.Call, values: Mapping[str, Any], library: Any, known: dict[str, Any] | None) -> Any:
+    """The value of a function."""
+    given = [evaluated(part, values, library, known) for part in tree.args]
+    name: str = tree.func.id  # type: ignore[attr-defined]
+    smooth = SMOOTH_FUNCTIONS.get(name)
+    return getattr(library, name)(*given) if smooth is None else smooth(*given, library=library)

@@ -12,7 +12,7 @@ from snakejax.core.formula import parsed
 from snakejax.core.parallel import in_threads
 
 from .terms import Family
-from .windows import ForceWindows
+from .windows import Calls, ForceWindows
 
 ROUNDS = 12
 """Levenberg-Marquardt steps of a refinement, at most."""
@@ -41,10 +41,12 @@ def named(family: Family, grid: np.ndarray) -> dict[str, np.ndarray]:
     return {part.name: grid[:, k] for k, part in enumerate(family.shape)}
 
 
-def form_at(windows: ForceWindows, family: Family, grid: np.ndarray, given: Sequence[np.ndarray]) -> list[Trial]:
+def form_at(
+    windows: ForceWindows, family: Family, grid: np.ndarray, given: Sequence[np.ndarray], calls: Calls | None = None
+) -> list[Trial]:
     """The fits of `family` at each row of `grid` (G, S) of its shape; a smooth function has none, and one fit, with the
-    one of `PENALTIES` that predicts runs left out best."""
-    own = windows.histories(family, named(family, grid))
+    one of `PENALTIES` that predicts runs left out best. `calls`, see `ForceWindows.histories`."""
+    own = windows.histories(family, named(family, grid), calls)
     penalty = None
     if family.curvature is not None:
         grid, beside = np.zeros((len(PENALTIES), 0)), sum(one.shape[1] for one in given)
@@ -66,18 +68,26 @@ def on_grids(windows: ForceWindows, forms: Sequence[Family], given: Sequence[np.
     for family in forms:
         for _, formula in [*family.together, *(one for term in family.terms for one in term.formulas)]:
             parsed(formula or "1")
-    trials = in_threads(lambda family: on_grid(windows, family, given), forms)
-    return [best for best in trials if best is not None]
+    # Forms of one shape, which differ in what acts, share the functions of it.
+    alike: dict[tuple, list[Family]] = {}
+    for family in forms:
+        alike.setdefault(tuple((part.name, part.starts) for part in family.shape), []).append(family)
+    trials = in_threads(lambda group: on_grid(windows, group, given), alike.values())
+    return [best for group in trials for best in group]
 
 
-def on_grid(windows: ForceWindows, family: Family, given: Sequence[np.ndarray]) -> Trial | None:
-    """The best of the starts of the shape of `family`."""
-    rows = list(itertools.product(*(part.starts for part in family.shape)))
-    grid = np.array(rows, float).reshape(len(rows), len(family.shape))
-    blocks = [grid[k : k + BLOCK] for k in range(0, len(grid), BLOCK)]
-    trials = [trial for block in blocks for trial in form_at(windows, family, block, given)]
-    trials = [trial for trial in trials if np.isfinite(trial.left_out)]
-    return min(trials, key=lambda trial: trial.left_out, default=None)
+def on_grid(windows: ForceWindows, alike: Sequence[Family], given: Sequence[np.ndarray]) -> list[Trial]:
+    """Of each of the forms `alike`, whose shapes have the same starts, the best of these."""
+    shape = alike[0].shape
+    rows = list(itertools.product(*(part.starts for part in shape)))
+    grid = np.array(rows, float).reshape(len(rows), len(shape))
+    trials: list[list[Trial]] = [[] for _ in alike]
+    for k in range(0, len(grid), BLOCK):
+        calls: Calls = ({}, {})
+        for family, own in zip(alike, trials, strict=True):
+            own += form_at(windows, family, grid[k : k + BLOCK], given, calls)
+    finite = [[trial for trial in own if np.isfinite(trial.left_out)] for own in trials]
+    return [min(own, key=lambda trial: trial.left_out) for own in finite if own]
 
 
 def refined(windows: ForceWindows, trial: Trial, given: Sequence[np.ndarray]) -> Trial:

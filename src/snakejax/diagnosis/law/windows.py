@@ -57,6 +57,10 @@ class Fitted(NamedTuple):
     left_out: np.ndarray
 
 
+Calls = tuple[dict[str, np.ndarray], dict[str, np.ndarray]]
+"""Functions evaluated at one shape, by their text, for the wheels ahead and behind."""
+
+
 class ForceWindows(NamedTuple):
     """W windows at n samples with K knots.
 
@@ -117,8 +121,9 @@ class ForceWindows(NamedTuple):
         ends = {name: Range(*np.percentile(values, [2, 98])) for name, values in histories_of.items()}
         return {name: interval for name, interval in ends.items() if interval.high - interval.low > 1e-6}
 
-    def histories(self, family: Family, shape: Mapping[str, np.ndarray]) -> np.ndarray:
-        """The knots (G, T, W, 5K) of each term at G values of the `shape`: force knot by knot, then grip."""
+    def histories(self, family: Family, shape: Mapping[str, np.ndarray], calls: Calls | None = None) -> np.ndarray:
+        """The knots (G, T, W, 5K) of each term at G values of the `shape`: force knot by knot, then grip. `calls`:
+        functions that other forms have evaluated at this shape."""
         T = len(family.terms)
         if family.together:
             # Each term is the function with one of its amplitudes 1 and the others 0.
@@ -126,10 +131,16 @@ class ForceWindows(NamedTuple):
             return self._acting(family.together, alone, T)[None]
         G = max((len(values) for values in shape.values()), default=1)
         wide = {name: np.asarray(values)[:, None, None] for name, values in shape.items()}
-        each = [self._acting(term.formulas, wide, G) for term in family.terms]
+        each = [self._acting(term.formulas, wide, G, calls) for term in family.terms]
         return np.stack(each, axis=1) if each else np.zeros((G, 0, len(self.theta), 5 * self.onto_knots.knots))
 
-    def _acting(self, formulas: Sequence[tuple[str, str]], wide: dict[str, np.ndarray], count: int) -> np.ndarray:
+    def _acting(
+        self,
+        formulas: Sequence[tuple[str, str]],
+        wide: dict[str, np.ndarray],
+        count: int,
+        calls: Calls | None = None,
+    ) -> np.ndarray:
         """The knots (G, W, 5K) of what `formulas` set, by component, with `count` = G values of those in `wide`."""
         (W, n), K = self.theta.shape, self.onto_knots.knots
         c, s = np.cos(self.theta), np.sin(self.theta)
@@ -142,7 +153,8 @@ class ForceWindows(NamedTuple):
                     on_side = self._at_wheels(component, tree, known, side)
                     on_wheels = [total + one for total, one in zip(on_wheels, on_side, strict=True)]
                     continue
-                value = np.broadcast_to(evaluated(tree, known, np), (count, W, n))
+                value = evaluated(tree, known, np, None if calls is None else calls[side])
+                value = np.broadcast_to(value, (count, W, n))
                 if component == "grip":
                     knots[:, :, 3 * K + side :: 2] = self.onto_knots(value)
                 else:
