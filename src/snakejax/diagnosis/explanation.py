@@ -110,10 +110,11 @@ class Explanation(Tabular):
     `confidence` of each effect: "sure", "likely", "stand_in" or "ambiguous". `share`: the share of the squared error of
     omitted runs that each effect removes; `explained_share`: that of all effects together. `floor`: the error that the
     vehicle and the cameras cause by themselves; `remainder`: the error above it. `candidates`: those of every step.
-    `constants`: the constants of the vehicle, estimated within their uncertainty. `bands`: the predictive check of each
-    run. `odd_runs`: train runs that differ from the others. `law`: the force in which a law among the effects was
-    found, None without one. `calibrated`: if nothing was added, the base model with the estimated constants of the
-    vehicle. `of_windows`: whether the runs are many short windows, and effects were judged by left-out recordings.
+    `constants`: the constants of the vehicle, estimated within their uncertainty; `constants_share`: the share that
+    they remove without any effect. `bands`: the predictive check of each run. `odd_runs`: train runs that differ from
+    the others. `law`: the force in which a law among the effects was found, None without one. `calibrated`: if nothing
+    was added, the base model with the estimated constants of the vehicle. `of_windows`: whether the runs are many short
+    windows, and effects were judged by left-out recordings.
     """
 
     case: Case
@@ -131,6 +132,7 @@ class Explanation(Tabular):
     remainder: Remainder | None = None
     candidates: tuple[TriedCandidate, ...] = ()
     constants: dict[str, Estimate] = dataclasses.field(default_factory=dict)
+    constants_share: float = 0.0
     bands: tuple[RunBand, ...] = ()
     odd_runs: tuple[OddRun, ...] = ()
     law: LatentForce | None = None

@@ -185,6 +185,18 @@ def test_shares_of_steps_add_up() -> None:
     assert sum(share.values()) == pytest.approx(whole)
 
 
+@pytest.mark.parametrize(
+    ("names", "alone", "share"),
+    [(("", "yaw_damping"), 40.0, 0.6), (("", "yaw_damping"), 140.0, 0.0), (("", "lateral_skid"), 40.0, 0.0)],
+)
+def test_what_constants_do_without_an_effect_is_theirs(names, alone, share) -> None:
+    def step(name: str, error: float) -> Any:
+        return SimpleNamespace(name=name, heldout=SimpleNamespace(misfit=error), train=None)
+
+    steps = [step(name, error) for name, error in zip(names, (100.0, 5.0), strict=True)]
+    assert explaining._constants_share(steps, step("", alone)) == pytest.approx(share)
+
+
 def test_the_linear_problem_keeps_constants_and_grip_within_what_it_holds_for() -> None:
     """A vehicle without mass and grip needs no force: a step of -1 of their logarithms would explain all."""
     positive, signed = Domain("kg", 1e-9, np.inf, True, True), Domain("N", -np.inf, np.inf, False, False)

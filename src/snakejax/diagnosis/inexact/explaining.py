@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from snakejax.core.progress import Progress
+from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.estimation.discrepancy.kalman import Discrepancy
 from snakejax.estimation.discrepancy.segment_dynamics import BODY
 from snakejax.estimation.discrepancy.segments import Segments
@@ -111,9 +112,9 @@ def explanation_of(
     held-out runs are as it predicts them. Effects with which these are further off than without any explain nothing,
     however wide the bands of a prediction are."""
     base, final = steps[0], steps[-1]
-    better = calibrated(assessment) if final is base else None
-    if better is not None and better.train.misfit < base.train.misfit:
-        final = better
+    with_constants = calibrated(assessment)
+    if final is base and with_constants.train.misfit < base.train.misfit:
+        final = with_constants
     claimed = tuple(effect for effect in final.effects if effect not in base.effects)
     misleads = bool(claimed) and raises_heldout_error(base, final)
     verdict = ("explained" if claimed else "adequate") if explained and not misleads else "unexplained"
@@ -123,6 +124,10 @@ def explanation_of(
         "cameras and a random force" if assessment.evidence.has_force else "cameras",
     )
     share, explained_share = shares_of(steps)
+    constants_share = _constants_share(steps, with_constants)
+    if claimed:
+        # The first effect is not credited with what the constants that were estimated with it do without it.
+        share[steps[1].name] -= constants_share
     remainder = _remainder(final, noise_floor, assessment.undecided_laws)
     missing = None
     if verdict == "unexplained" and assessment.evidence.has_force:
@@ -143,8 +148,9 @@ def explanation_of(
         explained_share=explained_share,
         floor=noise_floor,
         remainder=remainder,
-        candidates=_tried(assessment, steps),
+        candidates=_tried(assessment, steps, share),
         constants=vehicle_constants(final),
+        constants_share=constants_share,
         bands=assessment.bands,
         odd_runs=assessment.odd_runs,
         law=assessment.law_force,
@@ -155,6 +161,13 @@ def explanation_of(
 def _word(word: str, misleads: bool) -> str:
     """How sure an effect is, by the `word` of the train runs, and by held-out runs that the model `misleads`."""
     return STAND_IN if misleads and word in (SURE, LIKELY) else word
+
+
+def _constants_share(steps: Sequence[SelectionStep], with_constants: SelectionStep) -> float:
+    """The share of the squared error that the constants of the vehicle take away without an effect; under another
+    structure than that of the base it is not told from what the structure does, and 0."""
+    is_switched = len(steps) > 1 and steps[1].name == LATERAL_SLIP_SWITCH
+    return 0.0 if is_switched else max(0.0, shares_of([steps[0], with_constants])[1])
 
 
 def shares_of(steps: Sequence[SelectionStep]) -> tuple[dict[str, float], float]:
@@ -185,10 +198,11 @@ def _remainder(final: SelectionStep, floor: PoseError, laws: tuple[str, ...]) ->
     return left._replace(depends_on=tuple(sorted(shares.items(), key=lambda pair: -pair[1])), laws=laws)
 
 
-def _tried(assessment: Assessment, steps: Sequence[SelectionStep]) -> tuple[TriedCandidate, ...]:
-    """One row for each candidate beside each step."""
+def _tried(
+    assessment: Assessment, steps: Sequence[SelectionStep], shares: dict[str, float]
+) -> tuple[TriedCandidate, ...]:
+    """One row for each candidate beside each step; `shares` of the effects that were taken."""
     rows, linear = [], assessment.linear
-    shares, _ = shares_of(steps)
     for number in range(len(assessment.effects) + 1):
         here = assessment.effects[:number]
         offset = len(steps) - 1 - len(assessment.effects)

@@ -69,6 +69,7 @@ def explanation_json(explanation: Explanation, provenance: Json, seconds: Json |
             "floor": _error_json(explanation.floor),
             "remainder": _remainder_json(explanation.remainder),
             "constants": _named(explanation.constants),
+            "constants_share": explanation.constants_share,
         },
         "candidates": [row._asdict() for row in explanation.candidates],
         "bands": [{"run": b.run, "role": b.role, "inside": b.inside} for b in explanation.bands],
