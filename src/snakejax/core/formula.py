@@ -9,7 +9,7 @@ from typing import Any
 from .errors import InputError
 from .smooth_functions import spline, surface
 
-FUNCTIONS = ("sin", "cos", "tanh", "exp", "abs", "sign", "sqrt", "clip")
+FUNCTIONS = ("sin", "cos", "tanh", "exp", "log", "abs", "sign", "sqrt", "clip")
 """The functions of a library of arrays that a formula may call; `clip(v, low, high)`."""
 SMOOTH_FUNCTIONS = {"spline": spline, "surface": surface}
 """The smooth functions through values at knots that it may call, see `core.smooth_functions`."""

@@ -393,6 +393,10 @@ CASES = {
             {"a": (0.3, "N m"), "x0": (0.2, "m"), "y0": (0.1, "m"), "s": (0.5, "m")},
         ),
     ),
+    "rubber that grips better the faster it slides": (
+        law_of(("grip", "0.1 * log(1 + (slip_speed / 0.02) ** 2)")),
+        ("grip = 1 - a * log(1 + (slip_speed / s) ** 2)", {"a": (-0.1, "-"), "s": (0.02, "m/s")}),
+    ),
     "wheels that lean as a joint turns": (
         law_of(("lateral", "0.5 * tanh(steering_angle / 0.4)")),
         ("lateral = a * tanh(steering_angle / s)", {"a": (0.5, "N"), "s": (0.4, "rad")}),

@@ -47,6 +47,8 @@ def functions_of(variable: str, interval: Range) -> Iterator[Function]:
     yield Function("bump", ((f"exp(-(({v} - v0) / s) ** 2)", 0),), (v0, width))
     yield Function("peak", ((f"1 / (1 + (({v} - v0) / s) ** 2)", 0),), (v0, width))
     yield from _ramps(v, unit, interval)
+    if variable.endswith("speed"):
+        yield _logarithm(v, unit, interval)
     if variable in ("x", "y", "time"):
         yield _square_wave(v, interval)
     if variable in ("x", "y", "time") or variable.endswith("_angle"):
@@ -69,6 +71,14 @@ def _ramps(v: str, unit: Unit, interval: Range) -> Iterator[Function]:
         widths = ShapeParameter("s", unit, (0.1 * interval.largest,), 0.01 * interval.largest, interval.largest)
         yield Function("round absolute value", ((f"(sqrt({v} ** 2 + s ** 2) - s)", 1),), (widths,))
         yield Function("play", ((f"(2 * {v} + {above} - {below})", 1),), (v0, s))
+
+
+def _logarithm(v: str, unit: Unit, interval: Range) -> Function:
+    """What grows with the logarithm of a speed beyond s, as the friction of rubber does (Grosch 1963), and that of rock
+    (Dieterich 1979)."""
+    starts = tuple(interval.largest * part for part in (0.003, 0.03, 0.3))
+    s = ShapeParameter("s", unit, starts, 1e-4 * interval.largest, 20 * interval.largest)
+    return Function("logarithm", ((f"log(1 + ({v} / s) ** 2)", 0),), (s,))
 
 
 def _square_wave(v: str, interval: Range) -> Function:

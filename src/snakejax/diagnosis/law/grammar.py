@@ -5,9 +5,9 @@ A law is a sum of terms, each an amplitude times a product of variables and one 
     action                         function of a variable v
     X, Y, N, all three, a force    v, v^2, v |v|, v and v |v|, 1 and v, tanh(v / s), tanh((v / s)^2), a threshold, a
     in the world, drag, dry        bump, a peak, a ramp from a stop on, from two stops on, a line with play, sin and cos
-    friction, force across the     of k v, what is there and is not in turns, a product of two variables;
-    velocity, yaw drag, grip,      in the plane a bump, a threshold, a stripe, a plane
-    rolling friction of each wheel
+    friction, force across the     of k v, what is there and is not in turns, the logarithm of a speed, a product of two
+    velocity, yaw drag, grip,      variables;
+    rolling friction of each wheel in the plane a bump, a threshold, a stripe, a plane
 
     force in the world             in the plane also a spring to a point, a tether, also from a height and to a point of
                                    the body, a magnet, the slope of a hill, a whirl, a trough, a fence, a wave along a

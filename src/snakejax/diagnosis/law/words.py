@@ -58,6 +58,7 @@ FUNCTIONS = {
     "ramp": "that is zero below v0 and grows with {0} above it; " + _CORNER,
     "falling ramp": "that is zero above v0 and grows as {0} falls below it; " + _CORNER,
     "two ramps": "that is zero from -v0 to v0 and grows with the size of {0} beyond; " + _CORNER,
+    "logarithm": "that grows with the logarithm of {0} beyond s",
     "play": "that is zero from -v0 to v0, and in proportion to {0} beyond, with its sign; " + _CORNER,
     "square wave": "that is there and is not, in turns, as {0} grows: k is the wave number; the change takes s / k",
     "wave": "that repeats with {0}: k is the wave number",
