@@ -118,16 +118,17 @@ def _explanation_or_steps(
         return None, [base, *_steps_beyond_base(diagnosis, few, progress, show)], False
     suspected = at_once.evidence.suggests_law
     try_known = suspected and diagnosis.switched is not None
-    steps = _steps_beyond_base(diagnosis, None, progress, no_progress) if try_known else []
-    explained = bool(steps) and leaves_only_noise(steps[-1])
-    if not explained:
+    first = _under_first_structure(diagnosis, None, progress, no_progress) if try_known else None
+    steps = first if first and leaves_only_noise(first[-1]) else None
+    law_was_sought = suspected and steps is None
+    if steps is None:
         explanation = explain_inexact(case, noise, diagnosis, at_once, progress)
         if explanation is not None:
             return explanation, [], False
-        steps = steps or _steps_beyond_base(diagnosis, None, progress, no_progress)
+        steps = _steps_beyond_base(diagnosis, None, progress, no_progress, first)
     for step in steps:
         show(step.record)
-    return None, [base, *steps], suspected and not explained
+    return None, [base, *steps], law_was_sought
 
 
 def _select(
@@ -214,31 +215,53 @@ def _with_clock_errors(explanation: Explanation, last: WorkingStep, progress: Pr
 
 
 def _steps_beyond_base(
-    diagnosis: BaseDiagnosis, few: CandidateSubset | None, progress: Progress, show: Show
+    diagnosis: BaseDiagnosis,
+    few: CandidateSubset | None,
+    progress: Progress,
+    show: Show,
+    first: Sequence[WorkingStep] | None = None,
 ) -> list[WorkingStep]:
     """The steps after the base, under the structure with which the recordings are explained better.
 
-    `few`: effects that may explain them, under the other structure where there is one.
+    `few`: effects that may explain them, under the other structure where there is one. `first`: the steps of
+    `_under_first_structure`, if they are known.
     """
     base = diagnosis.base
-    candidate_set, step, ranking = base.candidate_set, base.step, base.ranking
-    if consistent_with_noise(step.solution) and not significant(ranking, candidate_set.criteria):
+    if consistent_with_noise(base.step.solution) and not significant(base.ranking, base.candidate_set.criteria):
         return []
-    if diagnosis.switched is None:
-        return stepwise_selection(candidate_set, step, ranking, [], progress, show, few)
-    relaxed = diagnosis.switched[1]
-    best_refit = min((r.refit_misfit for r in ranking if r.refit is not None), default=np.inf)
-    if relaxed.solution.misfit <= best_refit and accept_structure(step, relaxed, candidate_set.criteria):
-        return _relaxed_steps(*diagnosis.switched, few, progress, show)
-    steps = stepwise_selection(candidate_set, step, ranking, [], progress, no_progress)
+    both = diagnosis.switched is not None and not _is_relaxed_first(diagnosis)
+    steps = _under_first_structure(diagnosis, few, progress, no_progress if both else show) if first is None else first
+    if diagnosis.switched is None or not both:
+        return list(steps)
     if not (steps and consistent_with_noise(steps[-1].step.solution)):
         # This structure does not explain by itself: select under the other one too, and keep what gets further.
         others = _relaxed_steps(*diagnosis.switched, few, progress, no_progress)
-        reached = steps[-1].step.solution.misfit if steps else step.solution.misfit
+        reached = (steps[-1].step if steps else base.step).solution.misfit
         steps = others if others[-1].step.solution.misfit < reached else steps
     for one in steps:
         show(one.record)
-    return steps
+    return list(steps)
+
+
+def _is_relaxed_first(diagnosis: BaseDiagnosis) -> bool:
+    """Whether the change of structure explains the recordings better than any one effect under that of the base."""
+    if diagnosis.switched is None:
+        return False
+    base, relaxed = diagnosis.base, diagnosis.switched[1]
+    best_refit = min((r.refit_misfit for r in base.ranking if r.refit is not None), default=np.inf)
+    criteria = base.candidate_set.criteria
+    return relaxed.solution.misfit <= best_refit and accept_structure(base.step, relaxed, criteria)
+
+
+def _under_first_structure(
+    diagnosis: BaseDiagnosis, few: CandidateSubset | None, progress: Progress, show: Show
+) -> list[WorkingStep]:
+    """The steps after the base under its structure, or under the other one, see `_is_relaxed_first`."""
+    base, switched = diagnosis.base, diagnosis.switched
+    if switched is not None and _is_relaxed_first(diagnosis):
+        return _relaxed_steps(*switched, few, progress, show)
+    own = few if switched is None else None
+    return stepwise_selection(base.candidate_set, base.step, base.ranking, [], progress, show, own)
 
 
 def _relaxed_steps(
