@@ -37,11 +37,6 @@ class Proposal(NamedTuple):
         """On what it acts, and on which variables it depends."""
         return self.law.family.action, self.law.family.variables
 
-    @property
-    def form(self) -> tuple[frozenset[tuple[tuple[str, str], ...]], int]:
-        """Its formulas without the names of their amplitudes, and the number of parameters inside them."""
-        return frozenset(term.formulas for term in self.law.family.terms), len(self.law.family.shape)
-
     def without(self, amplitude: str) -> "Proposal":
         """The same without the term of this `amplitude`."""
         law = self.law

@@ -136,7 +136,7 @@ def distinct(proposals: Sequence[Proposal]) -> list[Proposal]:
     """The proposals, the best first, each form once: beside those effects with which it is best."""
     of_form: dict[object, Proposal] = {}
     for one in sorted(proposals, key=lambda one: one.penalised):
-        of_form.setdefault(one.form, one)
+        of_form.setdefault(one.law.form, one)
     return list(of_form.values())
 
 

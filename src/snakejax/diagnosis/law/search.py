@@ -64,6 +64,11 @@ class ProposedLaw(NamedTuple):
     forms: int = 1
 
     @property
+    def form(self) -> tuple[frozenset[tuple[tuple[str, str], ...]], int]:
+        """Its formulas without the names of their amplitudes, and the number of parameters inside them."""
+        return frozenset(term.formulas for term in self.family.terms), len(self.family.shape)
+
+    @property
     def variables(self) -> tuple[str, ...]:
         """The variables on which it depends, as results name them; none for those that have no such name."""
         names = [name for variable in self.family.variables for name in names_in(parsed(variable))]
@@ -145,7 +150,7 @@ def _is_of_one_side(family: Family) -> bool:
 
 def _proposals(windows: ForceWindows, trials: Sequence[Trial], forms: int, nothing: float) -> list[ProposedLaw]:
     """The laws of `trials`, the best of so many `forms`, that predict better than `nothing`; the best first."""
-    laws: dict[str, ProposedLaw] = {}
+    laws: dict[object, ProposedLaw] = {}
     for trial in trials:
         variance = max(1.0, trial.left_out / windows.samples)
         score = trial.left_out + variance * chance(trial.family, forms)
@@ -153,8 +158,9 @@ def _proposals(windows: ForceWindows, trials: Sequence[Trial], forms: int, nothi
             excess = max(nothing - windows.samples, 1e-9)
             share = float(np.clip((nothing - trial.left_out) / excess, 0.0, 1.0))
             law = _proposed(trial, windows.samples, score)._replace(share=share, forms=forms)
-            if law.expression not in laws or score < laws[law.expression].score:
-                laws[law.expression] = law
+            # One form may come from several, of which other terms were left out.
+            if law.form not in laws or score < laws[law.form].score:
+                laws[law.form] = law
     return _of_all_wheels(_without_limits(sorted(laws.values(), key=lambda law: law.score), windows.samples))
 
 
