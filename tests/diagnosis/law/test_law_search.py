@@ -146,6 +146,7 @@ _BEGINS = "rolling_speed / sqrt(rolling_speed ** 2 + e ** 2)"
 _SPEED = "sqrt(u ** 2 + w ** 2 + 2.5e-05)"
 _DISTANCE = "sqrt((x - 0.2) ** 2 + (y + 0.3) ** 2)"
 _CORE = "((x - 0.2) ** 2 + (y - 0.1) ** 2 + 0.5 ** 2)"
+_TURNS = "(rotor_rate + r) ** 2"
 _LINE = _beyond("x", "y", "2.0", "0.2")
 _DOWN, _LETTERS = (("east", "0.1"), ("north", "-0.2")), (("east", "a"), ("north", "b"))
 _PUSHES = (("east", "a"), ("north", "f"))
@@ -391,6 +392,17 @@ CASES = {
                 for side, way in (("east", "-a * (y - y0)"), ("north", "a * (x - x0)"))
             ),
             {"a": (0.3, "N m"), "x0": (0.2, "m"), "y0": (0.1, "m"), "s": (0.5, "m")},
+        ),
+    ),
+    "rotor that is not balanced": (
+        law_of(
+            ("X", f"0.01 * ({_TURNS} * cos(rotor_angle + 0.5) + rotor_acceleration * sin(rotor_angle + 0.5))"),
+            ("Y", f"0.01 * ({_TURNS} * sin(rotor_angle + 0.5) - rotor_acceleration * cos(rotor_angle + 0.5))"),
+        ),
+        (
+            f"X = a * ({_TURNS} * cos(rotor_angle + q) + rotor_acceleration * sin(rotor_angle + q));"
+            f" Y = a * ({_TURNS} * sin(rotor_angle + q) - rotor_acceleration * cos(rotor_angle + q))",
+            {"a": (0.01, "N s^2"), "q": (0.5, "rad")},
         ),
     ),
     "rubber that grips better the faster it slides": (

@@ -25,6 +25,7 @@ A law is a sum of terms, each an amplitude times a product of variables and one 
     height of the floor under      in the plane a bump, a threshold, a stripe, a wave along a direction
     each wheel
     push of a joint                a yaw moment, the acceleration of a joint times a function of that joint
+    unbalance of a joint           the force of a mass off its axis
 
 A variable is one of a motion, or the angle or the rate of a joint in the world, `(rotor_rate + r)`.
 Where no such form is good enough, see `smooth_forms`.
@@ -32,6 +33,8 @@ Where no such form is good enough, see `smooth_forms`.
 
 from collections.abc import Iterator, Sequence
 from itertools import combinations
+
+import numpy as np
 
 from .friction_forms import friction_forms
 from .functions import Function, functions_of
@@ -56,6 +59,8 @@ from .terms import (
     Action,
     Family,
     Range,
+    ShapeParameter,
+    Term,
     may_act,
     term_of,
 )
@@ -124,6 +129,20 @@ def _pushes(accelerations: Sequence[str], ranges: dict[str, Range]) -> Iterator[
             for function in functions_of(variable, ranges[variable]) if variable in ranges else ():
                 if function.name not in ("affine", "linear", "threshold", "falling threshold"):
                     yield _of_one_variable(action, function, variable)
+        joint = name.removesuffix(PUSH_SUFFIX)
+        if {f"{joint}_angle", f"{joint}_rate", "r"} <= set(ranges):
+            yield _unbalance(joint)
+
+
+def _unbalance(joint: str) -> Family:
+    """The force of a mass off the axis of a joint at the centre of the body, at the angle q of the joint: outwards with
+    the square of its rate in the world, and against its acceleration."""
+    q = ShapeParameter("q", {"rad": 1}, tuple(np.pi * np.arange(8) / 4))
+    ahead, left = f"cos({joint}_angle + q)", f"sin({joint}_angle + q)"
+    out, against = f"({joint}_rate + r) ** 2", f"{joint}{PUSH_SUFFIX}"
+    formulas = (("X", f"({out} * {ahead} + {against} * {left})"), ("Y", f"({out} * {left} - {against} * {ahead})"))
+    variables = (f"{joint}_rate", f"{joint}_angle")
+    return Family("unbalance", "unbalance", variables, (Term("a", {"N": 1, "s": 2}, formulas),), (q,))
 
 
 def _of_one_variable(action: Action, function: Function, variable: str) -> Family:

@@ -107,6 +107,7 @@ WHOLE = {
     "friction at an arm": "the dry friction of the end of an arm that the {0} turns, p long and q beyond its angle; it"
     " begins over the speed s",
     "drag at an arm": "the drag of the end of an arm that the {0} turns, p long and q beyond its angle",
+    "unbalance": "the force of a mass off the axis of the {0}, at the angle q on it: a is the mass times its distance",
     "wind": "the drag of the air, as the square of the speed against it: the air moves with the speed v0 in the"
     " direction q",
     "friction across": "a dry friction against motion along the direction q of the floor alone; it begins over the"
