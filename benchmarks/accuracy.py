@@ -1,8 +1,8 @@
 """How often the diagnosis is right on synthetic boards: with each effect at five strengths, and without any.
 
     python benchmarks/accuracy.py PART [RESULTS]         PART: null, ranking, loop, strong, pairs, strangers,
-                                                         unusual, natural, further, arena, mixed,
-                                                         exhaustive, table
+                                                         unusual, natural, further, arena, workshop,
+                                                         mixed, exhaustive, table
 
 Each part writes its results line by line into RESULTS (default benchmarks/accuracy.jsonl), and continues there after
 a stop. `table` prints the summary, which is kept in benchmarks/accuracy.txt.
@@ -19,6 +19,7 @@ unusual     the same with one of a form that was unknown to those who wrote the 
 natural     the same with one that may act on a board in a laboratory, unknown to them too.
 further     the same with twelve more of that kind.
 arena       the same with ten more, written after forms of law had been added for those.
+workshop    the same with eight more, written after that.
 mixed       the same with such an effect and a known one together; the report must name the known one with the force.
 exhaustive  twenty of the hundred with all candidates refitted, as the reference.
 
@@ -48,6 +49,7 @@ import jax.numpy as jnp  # noqa: E402
 import natural_laws  # noqa: E402
 import numpy as np  # noqa: E402
 import unusual_laws  # noqa: E402
+import workshop_laws  # noqa: E402
 
 from snakejax import Case, Explanation  # noqa: E402
 from snakejax.core.parameter import parameters  # noqa: E402
@@ -361,6 +363,10 @@ def arena(results: Results) -> None:
     _other_strangers(results, "arena", 9400, arena_laws.ARENA)
 
 
+def workshop(results: Results) -> None:
+    _other_strangers(results, "workshop", 9400, workshop_laws.WORKSHOP)
+
+
 def _other_strangers(results: Results, part: str, first: int, effects: dict[str, tuple[Any, str]]) -> None:
     """One board for each of the `effects`, numbered from `first` on, in turns of each structure."""
     for k, (name, (effect, variable)) in enumerate(effects.items()):
@@ -468,6 +474,8 @@ def table(results: Results) -> None:
         _strangers_table("More effects that may act in a laboratory", lines)
     if lines := results.of("arena"):
         _strangers_table("Ten more, written after forms had been added for those", lines)
+    if lines := results.of("workshop"):
+        _strangers_table("Eight more, written after that", lines)
     if lines := results.of("mixed"):
         _mixed_table(lines)
     if lines := results.of("exhaustive"):
@@ -603,6 +611,7 @@ PARTS = {
         natural,
         further,
         arena,
+        workshop,
         mixed,
         exhaustive,
         table,

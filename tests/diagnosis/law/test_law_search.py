@@ -394,6 +394,17 @@ CASES = {
             {"a": (0.3, "N m"), "x0": (0.2, "m"), "y0": (0.1, "m"), "s": (0.5, "m")},
         ),
     ),
+    "floor of tiles": (
+        law_of(("grip", "0.3 * tanh(sin(5 * wheel_x + 0.4) * sin(5 * wheel_y + 1.2) / 0.4)")),
+        (
+            "grip = 1 - a * tanh(sin(k * wheel_x + p) * sin(k * wheel_y + q) / s)",
+            {"a": (-0.3, "-"), "k": (5.0, "1/m"), "p": (0.4, "rad"), "q": (1.2, "rad"), "s": (0.4, "-")},
+        ),
+    ),
+    "grease that warms": (
+        law_of(("X", "-0.3 * exp(-time / 2)")),
+        ("X = a * exp(-time / s)", {"a": (-0.3, "N"), "s": (2.0, "s")}),
+    ),
     "rotor that is not balanced": (
         law_of(
             ("X", f"0.01 * ({_TURNS} * cos(rotor_angle + 0.5) + rotor_acceleration * sin(rotor_angle + 0.5))"),

@@ -47,6 +47,11 @@ def functions_of(variable: str, interval: Range) -> Iterator[Function]:
     yield Function("bump", ((f"exp(-(({v} - v0) / s) ** 2)", 0),), (v0, width))
     yield Function("peak", ((f"1 / (1 + (({v} - v0) / s) ** 2)", 0),), (v0, width))
     yield from _ramps(v, unit, interval)
+    if variable == "time":
+        # From the start of a recording on: of what began before, the amplitude is that at its start.
+        times = tuple(interval.width * part for part in (0.1, 0.3, 1.0))
+        of_time = ShapeParameter("s", unit, times, 0.01 * interval.width, 20 * interval.width)
+        yield Function("decay", ((f"exp(-{v} / s)", 0),), (of_time,))
     if variable.endswith("speed"):
         yield _logarithm(v, unit, interval)
     if variable in ("x", "y", "time"):

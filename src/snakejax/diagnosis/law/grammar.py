@@ -5,8 +5,8 @@ A law is a sum of terms, each an amplitude times a product of variables and one 
     action                         function of a variable v
     X, Y, N, all three, a force    v, v^2, v |v|, v and v |v|, 1 and v, tanh(v / s), tanh((v / s)^2), a threshold, a
     in the world, drag, dry        bump, a peak, a ramp from a stop on, from two stops on, a line with play, sin and cos
-    friction, force across the     of k v, what is there and is not in turns, the logarithm of a speed, a product of two
-    velocity, yaw drag, grip,      variables;
+    friction, force across the     of k v, what is there and is not in turns, the logarithm of a speed, what dies away
+    velocity, yaw drag, grip,      with time, a product of two variables;
     rolling friction of each wheel in the plane a bump, a threshold, a stripe, a plane
 
     force in the world             in the plane also a spring to a point, a tether, also from a height and to a point of
@@ -15,8 +15,8 @@ A law is a sum of terms, each an amplitude times a product of variables and one 
     dry friction, drag             of the body, in proportion to the distance from a point (a cable dragged along), that
                                    falls with the speed (Stribeck), across a direction, in wind; of a point of the body,
                                    of a wheel there that does not steer, of the end of an arm that a joint turns
-    dry friction, drag, grip,      in the plane also an oval or a rectangle with an edge
-    rolling friction
+    dry friction, drag, grip,      in the plane also an oval or a rectangle with an edge; at the wheels also tiles of
+    rolling friction               two kinds in turns
     grip of one axle               functions of joints; as a load that goes from axle to axle also of other variables
     rolling friction of one axle   a constant
     sliding friction of each       a constant

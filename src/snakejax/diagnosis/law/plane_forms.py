@@ -16,6 +16,7 @@ def in_the_plane(ranges: dict[str, Range], shapes: PlaneShapes) -> Iterator[Fami
     at_wheels = [action for action in ACTIONS if action.name in OF_WHEEL and "wheel_x" in ranges]
     for action in at_wheels:
         yield from _coverings(action, PLACE_OF_WHEEL, shapes)
+        yield _tiles(action, PLACE_OF_WHEEL, shapes)
     for action in ACTIONS:
         if action.name in ("friction", "drag"):
             yield from _coverings(action, ("x", "y"), shapes)
@@ -96,6 +97,18 @@ def _coverings(action: Action, place: tuple[str, str], shapes: PlaneShapes) -> I
     for name, power in (("oval", 2), ("mat", 8)):
         covered = f"(0.5 + 0.5 * tanh((1 - ({along} ** {power} + {across} ** {power} + 1e-12) ** {1 / power}) / s))"
         yield Family(name, action.name, place, (term_of(action, "a", covered, {}),), shape)
+
+
+def _tiles(action: Action, place: tuple[str, str], shapes: PlaneShapes) -> Family:
+    """Tiles of two kinds, in turns along both axes of the cameras: k is the wave number, p and q the phases along x and
+    y, and from tile to tile the change takes s of the size of a wave."""
+    x, y = place
+    numbers = tuple(np.pi / shapes.size * np.arange(1.0, 16.0))
+    k = ShapeParameter("k", {"m": -1}, numbers, 0.3 * numbers[0], 1.3 * numbers[-1])
+    phases = tuple(ShapeParameter(letter, {"rad": 1}, tuple(np.pi * np.arange(4) / 4)) for letter in "pq")
+    s = ShapeParameter("s", {}, (0.5,), 0.05, 5.0)
+    board = f"tanh(sin(k * {x} + p) * sin(k * {y} + q) / s)"
+    return Family("tiles", action.name, place, (term_of(action, "a", board, {}),), (k, *phases, s, *action.shape))
 
 
 def _waves(actions: Sequence[Action], name: str, place: tuple[str, str], shapes: PlaneShapes) -> Iterator[Family]:

@@ -58,6 +58,7 @@ FUNCTIONS = {
     "ramp": "that is zero below v0 and grows with {0} above it; " + _CORNER,
     "falling ramp": "that is zero above v0 and grows as {0} falls below it; " + _CORNER,
     "two ramps": "that is zero from -v0 to v0 and grows with the size of {0} beyond; " + _CORNER,
+    "decay": "that dies away with {0}, to 1 / e over s",
     "logarithm": "that grows with the logarithm of {0} beyond s",
     "play": "that is zero from -v0 to v0, and in proportion to {0} beyond, with its sign; " + _CORNER,
     "square wave": "that is there and is not, in turns, as {0} grows: k is the wave number; the change takes s / k",
@@ -76,6 +77,8 @@ FUNCTIONS = {
     " across, and its edge is s times as wide",
     "mat": "that is there on a rectangle with round corners around (x0, y0), as a mat: its half sides are d in the"
     " direction q and h across, and its edge is s times as wide",
+    "tiles": "that is larger and smaller in turns along both axes of the cameras, as on a floor of tiles of two kinds:"
+    " k is the wave number, p and q are the phases along x and y, and the change takes s",
     "wave in the plane": "that repeats along the direction q of the floor: k is the wave number",
     "constant": "with the same size at all times",
     "smooth function": "that is a smooth function of {0}",
