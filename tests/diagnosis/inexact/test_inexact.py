@@ -10,6 +10,7 @@ from scipy import stats
 
 from snakejax.core.errors import FitError
 from snakejax.core.parameter import Domain
+from snakejax.diagnosis.explanation import PoseError, Remainder
 from snakejax.diagnosis.inexact import confidence, evidence, explaining
 from snakejax.diagnosis.inexact.assessment import Assessment
 from snakejax.diagnosis.inexact.candidate_model import CandidateModel
@@ -175,6 +176,17 @@ def test_twins_share_what_both_explain() -> None:
 def test_no_effect_of_a_model_that_misleads_is_sure(misleads: bool) -> None:
     words = [explaining._word(word, misleads) for word in ("sure", "likely", "ambiguous")]
     assert words == (["stand_in", "stand_in", "ambiguous"] if misleads else ["sure", "likely", "ambiguous"])
+
+
+@pytest.mark.parametrize(
+    ("share", "rest", "floor", "leaves"),
+    [(0.43, 20e-3, 5e-3, True), (0.43, 5e-3, 20e-3, False), (0.9, 20e-3, 5e-3, False), (0.1, 0.0, 5e-3, False)],
+)
+def test_what_leaves_most_of_the_error_above_the_floor_does_not_explain(share, rest, floor, leaves) -> None:
+    """A vehicle that wanders by itself leaves much, and is explained all the same."""
+    noise: Any = SimpleNamespace(position=4e-4, heading=2.5e-3)
+    remainder, own = Remainder(rest, 0.0, ()), PoseError(floor, 3e-3, "cameras and a random force")
+    assert explaining.leaves_most(share, remainder, own, noise) is leaves
 
 
 def test_shares_of_steps_add_up() -> None:

@@ -109,15 +109,14 @@ def explanation_of(
     case: Case, noise: Noise, assessment: Assessment, steps: Sequence[SelectionStep], explained: bool
 ) -> Explanation:
     """The explanation with the effects of `assessment`, which the `steps` from the base on add; `explained`: whether
-    held-out runs are as it predicts them. Effects with which these are further off than without any explain nothing,
-    however wide the bands of a prediction are."""
+    held-out runs are as it predicts them. Effects with which these are further off than without any, or that leave most
+    of their error, do not explain them, however wide the bands of a prediction are."""
     base, final = steps[0], steps[-1]
     with_constants = calibrated(assessment)
     if final is base and with_constants.train.misfit < base.train.misfit:
         final = with_constants
     claimed = tuple(effect for effect in final.effects if effect not in base.effects)
     misleads = bool(claimed) and raises_heldout_error(base, final)
-    verdict = ("explained" if claimed else "adequate") if explained and not misleads else "unexplained"
     noise_floor = PoseError(
         float(np.hypot(assessment.floor[0], assessment.floor[1])),
         float(assessment.floor[2]),
@@ -129,6 +128,8 @@ def explanation_of(
         # The first effect is not credited with what the constants that were estimated with it do without it.
         share[steps[1].name] -= constants_share
     remainder = _remainder(final, noise_floor, assessment.undecided_laws)
+    fails = bool(claimed) and leaves_most(explained_share, remainder, noise_floor, noise)
+    verdict = ("explained" if claimed else "adequate") if explained and not (misleads or fails) else "unexplained"
     missing = None
     if verdict == "unexplained" and assessment.evidence.has_force:
         point = assessment.linear.point._replace(values=assessment.values)
@@ -156,6 +157,14 @@ def explanation_of(
         law=assessment.law_force,
         calibrated=None if final is steps[-1] else final,
     )
+
+
+def leaves_most(explained_share: float, remainder: Remainder, floor: PoseError, noise: Noise) -> bool:
+    """Whether more of the squared error of unseen runs is left than taken away, and more of that is above the floor,
+    which vehicle and cameras leave by themselves, than in it; channels in units of the `noise`."""
+    size = np.array([float(noise.position), float(noise.heading)])
+    rest, own = (float(np.sum((np.array([e.position_m, e.heading_rad]) / size) ** 2)) for e in (remainder, floor))
+    return explained_share < 0.5 and rest > own
 
 
 def _word(word: str, misleads: bool) -> str:
