@@ -1,9 +1,6 @@
 """What tests of the commands are given: the text of a small case, and an effect of the user's own."""
 
-TRAIN_CASE = """
-title = "the first seconds of level-board"
-skid = "free"
-
+BOARD_TOML = """\
 [board]
 mass_kg = 7.0
 rotor_inertia_kgm2 = 0.0238
@@ -19,7 +16,14 @@ heading_rad = 0.0025
 kp = 100.0
 kd = 10.0
 
-[[runs]]
+"""
+"""The tables of a case that say what its board, noise and actuator are."""
+
+TRAIN_CASE = f"""
+title = "the first seconds of level-board"
+skid = "free"
+
+{BOARD_TOML}[[runs]]
 role = "train"
 mocap = "train-forward-1.csv"
 object = "board:board"

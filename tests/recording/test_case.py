@@ -10,6 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.command_inputs import BOARD_TOML
 
 from snakejax.core.errors import InputError
 from snakejax.dynamics.signals import Logged, Sines, Tracked
@@ -21,26 +22,11 @@ from snakejax.recording.case_vehicle import fields_of, sd_keys_of
 from snakejax.vehicles.snakeboard.board import Board
 
 FRAMES = 101
-TOML = """\
+TOML = f"""\
 title = "a test"
 skid = "free"
 
-[board]
-mass_kg = 7.0
-rotor_inertia_kgm2 = 0.0238
-wheelset_inertia_kgm2 = 0.001
-half_length_m = 0.25
-creep_speed_mps = 0.01
-
-[noise]
-position_m = 0.0004
-heading_rad = 0.0025
-
-[actuator]
-kp = 100.0
-kd = 10.0
-
-[[runs]]
+{BOARD_TOML}[[runs]]
 role = "train"
 mocap = "train-1.csv"
 object = "board:board"

@@ -70,8 +70,7 @@ class Law(Effect):
 
     def force_on_body(self, motion: Motion) -> Wrench | None:
         """What a law that adds forces does to the body; None for a law that changes the forces that are there."""
-        del motion
-        return None
+        return self.wrench(motion) if isinstance(self, Force) else None
 
 
 class ForceLaw(Law, Force):
@@ -83,9 +82,6 @@ class ForceLaw(Law, Force):
         part = {name: zero + evaluated(tree, known, jnp) for name, tree in self.formulas.items()}
         X, Y = motion.into_body(part.get("east", zero), part.get("north", zero))
         return X + part.get("X", zero), Y + part.get("Y", zero), part.get("N", zero)
-
-    def force_on_body(self, motion: Motion) -> Wrench:
-        return self.wrench(motion)
 
 
 class GripLaw(Law, LateralForce):
@@ -126,9 +122,6 @@ class FloorLaw(Law, Force):
             return evaluated(self.formulas["height"], known, jnp) + jnp.zeros_like(x)
 
         return weight_on_floor(height, motion)
-
-    def force_on_body(self, motion: Motion) -> Wrench:
-        return self.wrench(motion)
 
 
 def _sum_over_wheels(motion: Motion, force: Callable[[Wheel], tuple[Scalar, Scalar]]) -> Wrench:

@@ -88,6 +88,11 @@ def padded_length(runs: Sequence[Run]) -> int:
     return -(-max(run.times.shape[0] for run in runs) // 50) * 50
 
 
+def lengthened(values: np.ndarray, extra: int) -> np.ndarray:
+    """`values` (n, ...) and so many more like the last."""
+    return np.concatenate([values, np.repeat(values[-1:], extra, axis=0)])
+
+
 def first_pose(run: Run) -> np.ndarray:
     """Median pose (3,) of the first five complete samples: x, y [m], heading [rad]."""
     recorded = np.asarray(run.pose)

@@ -112,7 +112,7 @@ def explanation_of(
     held-out runs are as it predicts them. Effects with which these are further off than without any, or that leave most
     of their error, do not explain them, however wide the bands of a prediction are."""
     base, final = steps[0], steps[-1]
-    with_constants = calibrated(assessment)
+    with_constants = base if _is_switched(steps) else calibrated(assessment)
     if final is base and with_constants.train.misfit < base.train.misfit:
         final = with_constants
     claimed = tuple(effect for effect in final.effects if effect not in base.effects)
@@ -172,11 +172,15 @@ def _word(word: str, misleads: bool) -> str:
     return STAND_IN if misleads and word in (SURE, LIKELY) else word
 
 
+def _is_switched(steps: Sequence[SelectionStep]) -> bool:
+    """Whether the effects of `steps` act under another structure than that of the base."""
+    return len(steps) > 1 and steps[1].name == LATERAL_SLIP_SWITCH
+
+
 def _constants_share(steps: Sequence[SelectionStep], with_constants: SelectionStep) -> float:
     """The share of the squared error that the constants of the vehicle take away without an effect; under another
     structure than that of the base it is not told from what the structure does, and 0."""
-    is_switched = len(steps) > 1 and steps[1].name == LATERAL_SLIP_SWITCH
-    return 0.0 if is_switched else max(0.0, shares_of([steps[0], with_constants])[1])
+    return 0.0 if _is_switched(steps) else max(0.0, shares_of([steps[0], with_constants])[1])
 
 
 def shares_of(steps: Sequence[SelectionStep]) -> tuple[dict[str, float], float]:

@@ -123,13 +123,12 @@ def _of_axles(variable: str, wheel: Sequence[str]) -> tuple[Action, ...]:
 def _pushes(accelerations: Sequence[str], ranges: dict[str, Range]) -> Iterator[Family]:
     """Laws by which a joint pushes the body more or less than its inertia says."""
     for name in accelerations:
-        unit = product(NEWTON_METRE, power(unit_of(name), -1))
-        action = Action(f"push of {name.removesuffix(PUSH_SUFFIX)}", (("N", name),), unit)
+        joint, unit = name.removesuffix(PUSH_SUFFIX), product(NEWTON_METRE, power(unit_of(name), -1))
+        action = Action(f"push of {joint}", (("N", name),), unit)
         for variable in (name.replace(PUSH_SUFFIX, suffix) for suffix in ("_angle", "_rate")):
             for function in functions_of(variable, ranges[variable]) if variable in ranges else ():
                 if function.name not in ("affine", "linear", "threshold", "falling threshold"):
                     yield _of_one_variable(action, function, variable)
-        joint = name.removesuffix(PUSH_SUFFIX)
         if {f"{joint}_angle", f"{joint}_rate", "r"} <= set(ranges):
             yield _unbalance(joint)
 

@@ -24,7 +24,7 @@ from snakejax.dynamics.contact import Motion, Wheel, slip_angle
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.ports import LateralForce, Sensor
 from snakejax.dynamics.tyres import Rayleigh
-from snakejax.estimation.batch import padded_length
+from snakejax.estimation.batch import lengthened, padded_length
 from snakejax.estimation.fitted_model import FittedModel
 from snakejax.estimation.linearisation import domains_of
 
@@ -146,10 +146,8 @@ def reconstruct_forces(fitted: FittedModel, scene: RunReplay) -> ReconstructedFo
     slowest = CLEAR * HALF_SPAN * float(np.nanmedian(np.hypot(sd[:, 0], sd[:, 1]))) / np.pi
     # All runs of a study are padded alike, so that they are compiled once.
     extra = -(-padded_length(fitted.recordings) // stride) - usable.size
-    times, states, shift, sd = jax.tree.map(
-        lambda a: np.concatenate([a[kept], np.repeat(a[-1:], extra, axis=0)]),
-        (scene.times, scene.states, np.nan_to_num(shift), np.nan_to_num(sd)),
-    )
+    every = (scene.times, scene.states, np.nan_to_num(shift), np.nan_to_num(sd))
+    times, states, shift, sd = jax.tree.map(lambda a: lengthened(a[kept], extra), every)
     in_run = model.in_run(run.payload, run.codes)
     viscous = isinstance(model.tyre.of_axle("front"), Rayleigh)
     reconstruction = _slip_and_force(in_run, run.gait, times, states, shift, sd, viscous)

@@ -29,7 +29,7 @@ from snakejax.dynamics.model import Model
 from snakejax.dynamics.ports import Effect
 from snakejax.recording.run import Run
 
-from ..batch import stacked_gaits
+from ..batch import lengthened, stacked_gaits
 from ..multiple_shooting import initial_states
 from .segment_dynamics import (
     BODY,
@@ -111,8 +111,7 @@ class Segments:
         """The smoothed states (S, n, 6) at the samples of each segment; the last one stands for samples filled in."""
         n, parts = self.cut.pose.shape[1], []
         for state in states:
-            filled = np.concatenate([state, np.repeat(state[-1:], -len(state) % n, axis=0)])
-            parts.append(filled.reshape(-1, n, state.shape[1]))
+            parts.append(lengthened(state, -len(state) % n).reshape(-1, n, state.shape[1]))
         return np.concatenate(parts)
 
     def _substeps(self, values: np.ndarray) -> np.ndarray:
@@ -209,7 +208,7 @@ class Segments:
         model, point, steps = in_parts(self.model), jnp.asarray(values, jnp.float64), steps[numbers]
 
         def fill(part: np.ndarray) -> None:
-            padded = numbers[np.concatenate([part, np.repeat(part[-1:], CHUNK - len(part))])]
+            padded = numbers[lengthened(part, CHUNK - len(part))]
             segments, start = jax.tree.map(lambda leaf: jnp.asarray(leaf[padded]), (self.inputs, z))
             sub = jnp.asarray(steps[part].max())
             done = linearised_segments(model, self.stated, self.names, self.multiplicative, point, sub, segments, start)

@@ -1,6 +1,7 @@
 """The force of laws along replayed runs, which the charts of a missing force draw over its estimate."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -14,7 +15,7 @@ from snakejax.diagnosis.residuals.replays import RunReplay
 from snakejax.dynamics.inputs import AbstractInputs
 from snakejax.dynamics.law import Law
 from snakejax.dynamics.model import Model
-from snakejax.estimation.batch import padded_length
+from snakejax.estimation.batch import lengthened, padded_length
 from snakejax.estimation.fitted_model import FittedModel
 
 
@@ -26,10 +27,7 @@ def law_forces(fitted: FittedModel, replays: Sequence[RunReplay]) -> dict[str, F
     for replay in replays:
         run, count = runs[replay.run], len(replay.times)
         # Runs of all lengths share one program.
-        states, times = jax.tree.map(
-            lambda values, extra=most - count: np.concatenate([values, np.repeat(values[-1:], extra, axis=0)]),
-            (replay.states, replay.times),
-        )
+        states, times = jax.tree.map(partial(lengthened, extra=most - count), (replay.states, replay.times))
         force = _along(model.in_run(run.payload, run.codes), run.gait, times, states)
         if force is None:
             return {}
