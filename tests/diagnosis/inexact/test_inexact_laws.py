@@ -76,8 +76,7 @@ def chooser(
     monkeypatch.setattr(FittedLaw, "exact", property(lambda law: law.name in exact))
     monkeypatch.setattr(laws, "without_idle_terms", lambda *given: given[-1])
     monkeypatch.setattr(laws, "proposed", lambda search, weak: proposals)
-    monkeypatch.setattr(laws, "with_needed_effects", lambda search, linear: linear)
-    monkeypatch.setattr(laws, "beside_weaker_force", lambda search, linear: [None])
+    monkeypatch.setattr(laws, "bases", lambda search, linear: [linear])
     plain = SimpleNamespace(deviance=lambda effects: np.full(3, 100.0), mean_square=lambda effects: ERRORS)
     monkeypatch.setattr(laws, "left_out", lambda search, linear: plain)
     search: Any = SimpleNamespace(progress=lambda event: None, criteria=CRITERIA)
@@ -314,8 +313,16 @@ def test_the_word_for_a_law(predicts, law, falls, instead, word) -> None:
     assert sureness._confidence(12.0, predicts, law, falls, instead).word == word
 
 
-def test_a_law_is_looked_for_beside_a_weaker_force() -> None:
-    """Two columns: the candidate shows only where the force no longer explains it."""
+class Made(SimpleNamespace):
+    """A record of which parts can be replaced."""
+
+    def _replace(self, **new: Any) -> "Made":
+        return Made(**(vars(self) | new))
+
+
+def test_a_law_is_looked_for_beside_a_weaker_force(monkeypatch) -> None:
+    """Two columns: the candidate shows only where the force no longer explains it. Of the effects that were found one
+    is not needed whatever else acts; each set is tried once."""
     of = Discrepancy(np.ones(3), np.ones(3), 0.2, np.array([0.3, 3e-4, 0.0]), 1.0)
     asked: list[Any] = []
 
@@ -327,19 +334,36 @@ def test_a_law_is_looked_for_beside_a_weaker_force() -> None:
         prior = Prior(np.zeros(1), np.full(1, 1e-9))
         return Subsets(columns.T @ columns, (), OrderedDict(drag=(0,)), prior, -unbounded, unbounded)
 
-    class Made(SimpleNamespace):
-        def _replace(self, **new: Any) -> "Made":
-            return Made(**(vars(self) | new))
-
-    point = Made(discrepancy=of, effects=())
     search: Any = SimpleNamespace(scales=SimpleNamespace(least_force=np.full(3, 2e-4)))
-    whole: Any = Made(point=point, under=under)
-    found = laws.beside_weaker_force(search, whole)
+    whole: Any = Made(point=Made(discrepancy=of, effects=("drag",)), under=under)
+    needed = whole._replace(point=whole.point._replace(effects=()))
+    weaker = laws.beside_weaker_force(search, whole, 1 / 3)
     np.testing.assert_allclose(asked[0].force, [0.1, 2e-4, 2e-4])
-    assert [one.point.effects for one in found] == [(), ("drag",)]
-    for one in found:
-        assert one.point.discrepancy is asked[0]
-        np.testing.assert_array_equal(one.subsets.gram, under(asked[0]).gram)
+    assert weaker.point.discrepancy is asked[0]
+    np.testing.assert_array_equal(weaker.subsets.gram, under(asked[0]).gram)
+    monkeypatch.setattr(laws, "with_needed_effects", lambda search, linear: needed)
+    found = laws.bases(search, whole)
+    assert [one.point.effects for one in found] == [("drag",), ()]
+    assert all(one.point.discrepancy is of for one in found)
+
+
+def test_laws_are_compared_beside_the_force_with_which_each_is_likeliest(monkeypatch) -> None:
+    """A larger force hides more, so that chi^2 is smaller beside it, and is less likely where it is not needed."""
+    law = proposal("the law", "world", ("x",), 0.0).law
+    of_force = {1 / 3: (20.0, 50.0), 1 / 10: (26.0, 41.0), 1 / 30: (40.0, 40.0)}
+    monkeypatch.setattr(laws, "beside_weaker_force", lambda search, linear, share: share)
+    monkeypatch.setattr(laws, "force_windows", lambda search, share: share)
+    monkeypatch.setattr(laws, "search_laws", lambda share: (law._replace(score=of_force[share][0]),))
+    monkeypatch.setattr(laws, "score_in", lambda share, law: of_force[share][0])
+    monkeypatch.setattr(laws, "log_determinant", lambda share: of_force[share][1])
+    none: Any = None
+    linear: Any = SimpleNamespace(
+        point=SimpleNamespace(effects=("drag", "slope")), subsets=SimpleNamespace(threshold=lambda effect: 10.0)
+    )
+    (only,) = laws.proposed(none, linear)
+    assert (only.weak, only.penalised) == (1 / 3, 26.0 + 41.0 + 20.0)
+    monkeypatch.setattr(laws, "search_laws", lambda share: ())
+    assert laws.proposed(none, linear) == []
 
 
 @pytest.mark.parametrize(("size", "needed"), [(2.0, ("drag",)), (20.0, ("drag", "slope"))])

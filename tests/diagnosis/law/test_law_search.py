@@ -8,7 +8,8 @@ import pytest
 from snakejax.core.formula import evaluated
 from snakejax.diagnosis.law.grammar import families
 from snakejax.diagnosis.law.knots import KnotFit, hats_at
-from snakejax.diagnosis.law.search import finer, search, smooth_laws, wider
+from snakejax.diagnosis.law.regression import form_at
+from snakejax.diagnosis.law.search import NO_LAW, finer, score_in, search, smooth_laws, wider
 from snakejax.diagnosis.law.smooth_forms import smooth_floors, smooth_of_one, smooth_of_two
 from snakejax.diagnosis.law.terms import Family, Range, Term
 from snakejax.diagnosis.law.units import power, product, unit_text
@@ -558,6 +559,16 @@ def test_of_laws_that_do_as_well_the_one_with_the_fewest_parameters_comes_first(
 
 
 @pytest.mark.slow
+def test_a_law_has_the_same_score_in_the_windows_that_propose_it_and_its_own_in_others() -> None:
+    """Its shape, moved off, is found again."""
+    windows, others = (windows_of(CASES["washboard"][0], seed) for seed in (1, 2))
+    law = search(windows)[0]
+    assert score_in(windows, law) == pytest.approx(law.score, abs=0.5)
+    assert score_in(windows, law._replace(shape=1.02 * law.shape)) == pytest.approx(law.score, abs=0.5)
+    nothing = form_at(others, NO_LAW, np.zeros((1, 0)), ())[0].left_out
+    assert score_in(others, law) < nothing - 100
+
+
 def test_a_proposed_law_is_neutral_by_default() -> None:
     law = search(windows_of(CASES["shaken grip"][0]))[0]
     effect = law_class(law.expression, law.parameters)()

@@ -12,8 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from snakejax.core.progress import Phase, ProgressEvent
+from snakejax.estimation.discrepancy.kalman import gram_matrices
 from snakejax.recording.run import Case, Noise
 
+from ..law.search import score_in
 from ..law.search import search as search_laws
 from ..selection.candidates import CandidateSet
 from .confidence import beside_unknown
@@ -24,9 +26,9 @@ from .search import Linear, Search
 from .segment_force import force_windows
 from .subsets import choose, prune
 
-WEAKER = 1 / 3
-"""A law is looked for beside this share of the random force: a tenth of its power, so that the law is taken for the
-rest."""
+WEAKER = (1 / 3, 1 / 10, 1 / 30)
+"""A law is looked for beside the first of these shares of the random force: a tenth of its power, so that the law is
+taken for the rest. Laws are compared each beside that one of them with which it is likeliest."""
 TRIED = 5
 """So many laws are fitted with everything else, at most."""
 MOST_LAWS = 2
@@ -80,8 +82,7 @@ def choose_law(
     if len(linear.gram) < 2:
         return LawChoice()
     search.progress(ProgressEvent(Phase.LAW_SEARCH))
-    needed = with_needed_effects(search, linear)
-    ordered = distinct([one for weak in beside_weaker_force(search, needed) for one in proposed(search, weak)])
+    ordered = distinct([one for beside in bases(search, linear) for one in proposed(search, beside)])
     before, effects = left_out(search, linear), linear.point.effects
     whole = before.mean_square(effects)
     fitted: list[FittedLaw] = []
@@ -127,9 +128,9 @@ def near(ordered: Sequence[Proposal], distinct_chi2: float) -> list[Proposal]:
 
 def may_explain(search: Search, linear: Linear, proposal: Proposal) -> bool:
     """Whether the random force beside a law may become as small as that of an explanation: of its square the law takes
-    away the share that it takes of the misfit in the segments, where the force is weaker by `WEAKER`."""
+    away the share that it takes of the misfit in the segments, where the force is weaker by the first of `WEAKER`."""
     largest = float(np.max(linear.point.discrepancy.force / search.scales.force))
-    return WEAKER * largest * np.sqrt(1 - proposal.law.share) <= search.criteria.largest_random_force
+    return WEAKER[0] * largest * np.sqrt(1 - proposal.law.share) <= search.criteria.largest_random_force
 
 
 def distinct(proposals: Sequence[Proposal]) -> list[Proposal]:
@@ -140,6 +141,19 @@ def distinct(proposals: Sequence[Proposal]) -> list[Proposal]:
     return list(of_form.values())
 
 
+def bases(search: Search, linear: Linear) -> list[Linear]:
+    """Beside which effects a law is looked for, each set with a random force that was estimated with it or a part of
+    it: those of `linear`, those of them that are needed (`with_needed_effects`), and those that are significant beside
+    a weaker force. Some of the known effects are there, and some stand in for the law; which, is not known before."""
+    sets: dict[tuple[str, ...], Linear] = {}
+    for one in (linear, with_needed_effects(search, linear)):
+        own = one.point.effects
+        for effects in (own, choose(beside_weaker_force(search, one, WEAKER[0]).subsets, own)):
+            key = tuple(sorted(effects))
+            sets.setdefault(key, one._replace(point=one.point._replace(effects=key)))
+    return list(sets.values())
+
+
 def with_needed_effects(search: Search, linear: Linear) -> Linear:
     """The fit with only those effects of `linear` that are needed even if a share `cautious_force` of the forces had
     another cause: the others may stand in for the law, which then cannot be seen beside them."""
@@ -148,17 +162,30 @@ def with_needed_effects(search: Search, linear: Linear) -> Linear:
     return linear if set(needed) == set(effects) else search.refit(linear.point, needed)
 
 
-def beside_weaker_force(search: Search, linear: Linear) -> list[Linear]:
-    """`linear` with a weaker random force, with its effects and, where they are others, with those that are significant
-    beside that force: some of them are there, and some stand in for the law."""
+def beside_weaker_force(search: Search, linear: Linear, share: float) -> Linear:
+    """`linear` with this `share` of its random force."""
     point = linear.point
-    weaker = point.discrepancy.without_force(np.maximum(WEAKER * point.discrepancy.force, search.scales.least_force))
-    subsets = linear.under(weaker)
-    sets = dict.fromkeys(tuple(sorted(effects)) for effects in (point.effects, choose(subsets, point.effects)))
-    return [linear._replace(point=point._replace(discrepancy=weaker, effects=e), subsets=subsets) for e in sets]
+    weaker = point.discrepancy.without_force(np.maximum(share * point.discrepancy.force, search.scales.least_force))
+    return linear._replace(point=point._replace(discrepancy=weaker), subsets=linear.under(weaker))
 
 
-def proposed(search: Search, weak: Linear) -> list[Proposal]:
-    """The laws that the segments propose beside the effects of `weak`."""
-    thresholds = sum(weak.subsets.threshold(effect) for effect in weak.point.effects)
-    return [Proposal(weak, law, law.score + thresholds) for law in search_laws(force_windows(search, weak))]
+def proposed(search: Search, linear: Linear) -> list[Proposal]:
+    """The laws that the segments propose beside the effects of `linear`. They are compared by -2 log density of runs
+    left out, so that those beside a larger force, which hides more, are not taken for better ones."""
+    weak, *others = (beside_weaker_force(search, linear, share) for share in WEAKER)
+    laws = search_laws(force_windows(search, weak))
+    if not laws:
+        return []
+    thresholds = sum(linear.subsets.threshold(effect) for effect in linear.point.effects)
+    deviances = [[law.score + log_determinant(weak) for law in laws]]
+    for one in others:
+        windows, log = force_windows(search, one), log_determinant(one)
+        deviances.append([score_in(windows, law) + log for law in laws])
+    least = np.min(deviances, axis=0) + thresholds
+    return [Proposal(weak, law, float(one)) for law, one in zip(laws, least, strict=True)]
+
+
+def log_determinant(linear: Linear) -> float:
+    """ln |V| of all samples, V their covariance by noise and random force."""
+    _, logs = gram_matrices(linear.data.keeping(np.array([], int)), linear.point.discrepancy)
+    return float(logs.sum())

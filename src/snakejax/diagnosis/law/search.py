@@ -105,6 +105,12 @@ def smooth_laws(windows: ForceWindows) -> tuple[ProposedLaw, ...]:
     return tuple(_smooth_laws(windows, (), nothing, forms))
 
 
+def score_in(windows: ForceWindows, law: ProposedLaw) -> float:
+    """The `score` of a law in other `windows` than those that propose it, with its shape refined there."""
+    trial = refined(windows, form_at(windows, law.family, law.shape[None], ())[0], ())
+    return _score(windows, trial, law.forms)
+
+
 def much_better(smooth: Sequence[ProposedLaw], laws: Sequence[ProposedLaw]) -> list[ProposedLaw]:
     """Those of the `smooth` functions that leave less than `SMOOTH_SHARE` of the excess of every formula, `laws`."""
     least = min((law.left_out - 1 for law in laws), default=np.inf)
@@ -152,8 +158,7 @@ def _proposals(windows: ForceWindows, trials: Sequence[Trial], forms: int, nothi
     """The laws of `trials`, the best of so many `forms`, that predict better than `nothing`; the best first."""
     laws: dict[object, ProposedLaw] = {}
     for trial in trials:
-        variance = max(1.0, trial.left_out / windows.samples)
-        score = trial.left_out + variance * chance(trial.family, forms)
+        score = _score(windows, trial, forms)
         if score < nothing:
             excess = max(nothing - windows.samples, 1e-9)
             share = float(np.clip((nothing - trial.left_out) / excess, 0.0, 1.0))
@@ -162,6 +167,11 @@ def _proposals(windows: ForceWindows, trials: Sequence[Trial], forms: int, nothi
             if law.form not in laws or score < laws[law.form].score:
                 laws[law.form] = law
     return _of_all_wheels(_without_limits(sorted(laws.values(), key=lambda law: law.score), windows.samples))
+
+
+def _score(windows: ForceWindows, trial: Trial, forms: int) -> float:
+    """chi^2 on runs left out with a `trial`, the best of so many `forms`, and what the choice costs."""
+    return trial.left_out + max(1.0, trial.left_out / windows.samples) * chance(trial.family, forms)
 
 
 def _without_limits(laws: list[ProposedLaw], samples: int) -> list[ProposedLaw]:
