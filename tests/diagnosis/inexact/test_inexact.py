@@ -198,15 +198,17 @@ def test_shares_of_steps_add_up() -> None:
 
 
 @pytest.mark.parametrize(
-    ("names", "alone", "share"),
-    [(("", "yaw_damping"), 40.0, 0.6), (("", "yaw_damping"), 140.0, 0.0), (("", "lateral_skid"), 40.0, 0.0)],
+    ("errors", "shares"),
+    [
+        ((100.0, 5.0, 100.0, 5.0), (0.95, 0.0)),  # the effect does it all
+        ((100.0, 5.0, 5.0, 100.0), (0.0, 0.95)),  # the constants do
+        ((100.0, 5.0, 5.0, 5.0), (0.475, 0.475)),  # either does
+        ((100.0, 5.0, 100.0, 100.0), (0.475, 0.475)),  # only both do
+        ((100.0, 5.0, 180.0, 15.0), (0.9, 0.05)),  # constants alone lead astray
+    ],
 )
-def test_what_constants_do_without_an_effect_is_theirs(names, alone, share) -> None:
-    def step(name: str, error: float) -> Any:
-        return SimpleNamespace(name=name, heldout=SimpleNamespace(misfit=error), train=None)
-
-    steps = [step(name, error) for name, error in zip(names, (100.0, 5.0), strict=True)]
-    assert explaining._constants_share(steps, step("", alone)) == pytest.approx(share)
+def test_the_first_effect_and_the_constants_divide_what_they_explain(errors, shares) -> None:
+    assert explaining.divided_share(*errors) == pytest.approx(shares)
 
 
 def test_the_linear_problem_keeps_constants_and_grip_within_what_it_holds_for() -> None:

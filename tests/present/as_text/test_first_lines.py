@@ -263,7 +263,7 @@ def test_a_constant_at_the_limit_of_what_is_known_of_it_has_no_error_and_is_name
     told = dataclasses.replace(story(), floor=floor, constants=constants)
     text = " ".join(floor_sentences(told))
     alone = " ".join(floor_sentences(dataclasses.replace(told, constants_share=0.6)))
-    assert "take away 60% of the squared error by themselves" in alone and "by themselves" not in text
+    assert "They take away 60% of the squared error." in alone and "take away" not in text
     assert "mass = 7.000 +- 0.050 kg, inertia = 0.01319 kg m^2." in text
     assert "At the limit of this uncertainty: inertia." in text
 

@@ -30,7 +30,7 @@ from .left_out import with_predicting_effects
 from .random_force import random_force
 from .revision import search_effects
 from .search import Linear, Search
-from .steps import calibrated
+from .steps import beside_stated_constants, calibrated
 
 
 def supports(candidate_set: CandidateSet) -> bool:
@@ -123,10 +123,10 @@ def explanation_of(
         "cameras and a random force" if assessment.evidence.has_force else "cameras",
     )
     share, explained_share = shares_of(steps)
-    constants_share = _constants_share(steps, with_constants)
-    if claimed:
-        # The first effect is not credited with what the constants that were estimated with it do without it.
-        share[steps[1].name] -= constants_share
+    constants_share = max(0.0, shares_of([base, with_constants])[1])
+    if claimed and not _is_switched(steps):
+        alone = beside_stated_constants(assessment, claimed[:1])
+        share[claimed[0]], constants_share = divided_share(*(_error(s) for s in (*steps[:2], with_constants, alone)))
     remainder = _remainder(final, noise_floor, assessment.undecided_laws)
     fails = bool(claimed) and leaves_most(explained_share, remainder, noise_floor, noise)
     verdict = ("explained" if claimed else "adequate") if explained and not (misleads or fails) else "unexplained"
@@ -177,10 +177,21 @@ def _is_switched(steps: Sequence[SelectionStep]) -> bool:
     return len(steps) > 1 and steps[1].name == LATERAL_SLIP_SWITCH
 
 
-def _constants_share(steps: Sequence[SelectionStep], with_constants: SelectionStep) -> float:
-    """The share of the squared error that the constants of the vehicle take away without an effect; under another
-    structure than that of the base it is not told from what the structure does, and 0."""
-    return 0.0 if _is_switched(steps) else max(0.0, shares_of([steps[0], with_constants])[1])
+def divided_share(base: float, both: float, with_constants: float, with_effect: float) -> tuple[float, float]:
+    """The shares of the squared error of the base that are due to the first effect and to the constants of the vehicle,
+    which are estimated with it: the fall by each of them, averaged over the two orders in which they may be added.
+
+    The errors of the `base`, with `both`, with the constants alone, and with the effect alone; what makes the error
+    larger takes nothing away.
+    """
+    with_constants, with_effect = min(base, with_constants), min(base, with_effect)
+    of_effect = ((base - with_effect) + (with_constants - both)) / 2 / base
+    return of_effect, (base - both) / base - of_effect
+
+
+def _error(step: SelectionStep) -> float:
+    """The squared error of held-out runs, or of train runs where none is held out."""
+    return (step.heldout or step.train).misfit
 
 
 def shares_of(steps: Sequence[SelectionStep]) -> tuple[dict[str, float], float]:
@@ -188,7 +199,7 @@ def shares_of(steps: Sequence[SelectionStep]) -> tuple[dict[str, float], float]:
 
     The error is that of held-out runs, or of train runs where none is held out.
     """
-    return shares_of_errors(steps, [(step.heldout or step.train).misfit for step in steps])
+    return shares_of_errors(steps, [_error(step) for step in steps])
 
 
 def shares_of_errors(steps: Sequence[SelectionStep], errors: Sequence[float]) -> tuple[dict[str, float], float]:

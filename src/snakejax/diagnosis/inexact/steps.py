@@ -52,6 +52,15 @@ def calibrated(assessment: Assessment) -> SelectionStep:
     return dataclasses.replace(step, change="base")
 
 
+def beside_stated_constants(assessment: Assessment, effects: tuple[str, ...]) -> SelectionStep:
+    """The base with `effects`, and with the constants of the vehicle as stated."""
+    model = assessment.search.model
+    known = _known(assessment, effects)
+    stated = {model.names[k]: float(model.neutral[k]) for k in model.constants}
+    free = assessment.candidate_set.free([*assessment.base, *effects])
+    return _step(assessment, "", effects, _to_whole_runs(assessment, known | stated, free))
+
+
 class _FittedStep(NamedTuple):
     """A model with some of the effects in whole train runs, at `known` values of all parameters by name."""
 
@@ -62,13 +71,9 @@ class _FittedStep(NamedTuple):
 
 
 def _fitted(assessment: Assessment, effects: tuple[str, ...], before: _FittedStep | None) -> _FittedStep:
-    candidate_set, model = assessment.candidate_set, assessment.search.model
+    candidate_set = assessment.candidate_set
     free = candidate_set.free([*assessment.base, *effects])
-    values = assessment.values
-    for absent in set(model.candidates) - set(effects):
-        columns = list(model.candidates[absent])
-        values[columns] = model.neutral[columns]
-    known = dict(zip(model.names, map(float, values), strict=True))
+    known = _known(assessment, effects)
     if effects == assessment.effects:
         problem = _problem(assessment, known)
         settings = candidate_set.problem.values() | {n: known[n] for n in free}
@@ -78,6 +83,15 @@ def _fitted(assessment: Assessment, effects: tuple[str, ...], before: _FittedSte
         # The step before is a special case of this model: from there the error can only fall.
         fitted = _to_whole_runs(assessment, before.known, free)
     return fitted
+
+
+def _known(assessment: Assessment, effects: tuple[str, ...]) -> dict[str, float]:
+    """The values of all parameters by name, the `effects` and the constants of the vehicle as estimated."""
+    model, values = assessment.search.model, assessment.values
+    for absent in set(model.candidates) - set(effects):
+        columns = list(model.candidates[absent])
+        values[columns] = model.neutral[columns]
+    return dict(zip(model.names, map(float, values), strict=True))
 
 
 def _to_whole_runs(assessment: Assessment, known: dict[str, float], free: list[str]) -> _FittedStep:

@@ -143,7 +143,7 @@ def floor_sentences(explanation: Explanation) -> Iterator[str]:
     if explanation.constants:
         noun, limits = explanation.case.board.noun, [n for n, e in explanation.constants.items() if e.at_bound]
         values, share = values_text(explanation.constants), explanation.constants_share
-        alone = f" They take away {percent(share)} of the squared error by themselves." if share > 0 else ""
+        alone = f" They take away {percent(share)} of the squared error." if share > 0 else ""
         yield f"The constants of the {noun} were estimated within their stated uncertainty: {values}.{alone}"
         if limits:
             yield f"At the limit of this uncertainty: {', '.join(limits)}. Measure again or state a larger one."
