@@ -18,7 +18,6 @@ from snakejax.diagnosis.law.search import ProposedLaw
 from snakejax.diagnosis.law.terms import Family, Term
 from snakejax.diagnosis.selection.criteria import CRITERIA
 from snakejax.dynamics.law import LawParameter
-from snakejax.estimation.discrepancy.kalman import Discrepancy
 from snakejax.estimation.discrepancy.least_squares import Prior
 
 FORMS = 900
@@ -75,8 +74,7 @@ def chooser(
     monkeypatch.setattr(laws, "fit_law", fitted)
     monkeypatch.setattr(FittedLaw, "exact", property(lambda law: law.name in exact))
     monkeypatch.setattr(laws, "without_idle_terms", lambda *given: given[-1])
-    monkeypatch.setattr(laws, "proposed", lambda search, weak: proposals)
-    monkeypatch.setattr(laws, "bases", lambda search, linear: [linear])
+    monkeypatch.setattr(laws, "proposals", lambda search, linear: proposals)
     plain = SimpleNamespace(deviance=lambda effects: np.full(3, 100.0), mean_square=lambda effects: ERRORS)
     monkeypatch.setattr(laws, "left_out", lambda search, linear: plain)
     search: Any = SimpleNamespace(progress=lambda event: None, criteria=CRITERIA)
@@ -88,26 +86,6 @@ def chooser(
         return laws.choose_law(none, none, none, search, linear, ())
 
     return choose_law
-
-
-def test_each_form_is_proposed_once() -> None:
-    found = [
-        proposal("worse", "N", ("time",), 1009.1),
-        proposal("other variable", "world", ("y",), 1008.9),
-        proposal("best", "world", ("x",), 1000.0),
-        proposal("the same in another form", "world", ("x",), 1001.0),
-        proposal("best", "world", ("x",), 1002.0),  # beside other effects
-        proposal("other action", "X", ("x",), 1008.0),
-    ]
-    ordered = laws.distinct(found)
-    assert [(one.law.expression, one.penalised) for one in ordered] == [
-        ("best", 1000.0),
-        ("the same in another form", 1001.0),
-        ("other action", 1008.0),
-        ("other variable", 1008.9),
-        ("worse", 1009.1),
-    ]
-    assert laws.distinct([]) == []
 
 
 @pytest.mark.parametrize(
@@ -311,79 +289,3 @@ def test_a_second_law_keeps_the_prior_of_the_first() -> None:
 )
 def test_the_word_for_a_law(predicts, law, falls, instead, word) -> None:
     assert sureness._confidence(12.0, predicts, law, falls, instead).word == word
-
-
-class Made(SimpleNamespace):
-    """A record of which parts can be replaced."""
-
-    def _replace(self, **new: Any) -> "Made":
-        return Made(**(vars(self) | new))
-
-
-def test_a_law_is_looked_for_beside_a_weaker_force(monkeypatch) -> None:
-    """Two columns: the candidate shows only where the force no longer explains it. Of the effects that were found one
-    is not needed whatever else acts; each set is tried once."""
-    of = Discrepancy(np.ones(3), np.ones(3), 0.2, np.array([0.3, 3e-4, 0.0]), 1.0)
-    asked: list[Any] = []
-
-    def under(discrepancy: Discrepancy) -> Subsets:
-        asked.append(discrepancy)
-        columns = np.array([[5.0, 0.0], [0.0, 0.01]]) if discrepancy.force[0] > 0.2 else np.diag([8.0, 8.0])
-        columns[0, 1] = columns[1, 1]
-        unbounded = np.full(1, np.inf)
-        prior = Prior(np.zeros(1), np.full(1, 1e-9))
-        return Subsets(columns.T @ columns, (), OrderedDict(drag=(0,)), prior, -unbounded, unbounded)
-
-    search: Any = SimpleNamespace(scales=SimpleNamespace(least_force=np.full(3, 2e-4)))
-    whole: Any = Made(point=Made(discrepancy=of, effects=("drag",)), under=under)
-    needed = whole._replace(point=whole.point._replace(effects=()))
-    weaker = laws.beside_weaker_force(search, whole, 1 / 3)
-    np.testing.assert_allclose(asked[0].force, [0.1, 2e-4, 2e-4])
-    assert weaker.point.discrepancy is asked[0]
-    np.testing.assert_array_equal(weaker.subsets.gram, under(asked[0]).gram)
-    monkeypatch.setattr(laws, "with_needed_effects", lambda search, linear: needed)
-    found = laws.bases(search, whole)
-    assert [one.point.effects for one in found] == [("drag",), ()]
-    assert all(one.point.discrepancy is of for one in found)
-
-
-def test_laws_are_compared_beside_the_force_with_which_each_is_likeliest(monkeypatch) -> None:
-    """A larger force hides more, so that chi^2 is smaller beside it, and is less likely where it is not needed."""
-    law = proposal("the law", "world", ("x",), 0.0).law
-    of_force = {1 / 3: (20.0, 50.0), 1 / 10: (26.0, 41.0), 1 / 30: (40.0, 40.0)}
-    monkeypatch.setattr(laws, "beside_weaker_force", lambda search, linear, share: share)
-    monkeypatch.setattr(laws, "force_windows", lambda search, share: share)
-    monkeypatch.setattr(laws, "search_laws", lambda share: (law._replace(score=of_force[share][0]),))
-    monkeypatch.setattr(laws, "score_in", lambda share, law: of_force[share][0])
-    monkeypatch.setattr(laws, "log_determinant", lambda share: of_force[share][1])
-    none: Any = None
-    linear: Any = SimpleNamespace(
-        point=SimpleNamespace(effects=("drag", "slope")), subsets=SimpleNamespace(threshold=lambda effect: 10.0)
-    )
-    (only,) = laws.proposed(none, linear)
-    assert (only.weak, only.penalised) == (1 / 3, 26.0 + 41.0 + 20.0)
-    monkeypatch.setattr(laws, "search_laws", lambda share: ())
-    assert laws.proposed(none, linear) == []
-
-
-@pytest.mark.parametrize(("size", "needed"), [(2.0, ("drag",)), (20.0, ("drag", "slope"))])
-def test_a_law_is_looked_for_beside_the_effects_that_are_needed_whatever_else_acts(size, needed) -> None:
-    """Under the estimated force both effects are significant; where more is unknown, a slope of 2 is not."""
-    of = Discrepancy(np.ones(3), np.ones(3), 0.2, np.zeros(3), 1.0)
-    forces: list[Any] = []
-
-    def under(discrepancy: Discrepancy) -> Subsets:
-        forces.append(discrepancy)
-        columns = np.array([[20.0, 20.0, 0.0], [size, 0.0, size], [1.0, 0.0, 0.0]])
-        unbounded = np.full(2, np.inf)
-        prior = Prior(np.zeros(2), np.full(2, 1e-9))
-        return Subsets(columns.T @ columns, (), OrderedDict(drag=(0,), slope=(1,)), prior, -unbounded, unbounded)
-
-    linear: Any = SimpleNamespace(point=SimpleNamespace(discrepancy=of, effects=("drag", "slope")), under=under)
-    search: Any = SimpleNamespace(
-        scales=SimpleNamespace(force=np.full(3, 10.0)), criteria=CRITERIA, refit=lambda point, effects: tuple(effects)
-    )
-    kept = laws.with_needed_effects(search, linear)
-    assert (linear.point.effects if kept is linear else kept) == needed
-    np.testing.assert_allclose(forces[0].force, CRITERIA.cautious_force * 10.0)
-    assert forces[0].force_time >= CRITERIA.shortest_force

@@ -1,9 +1,7 @@
 """A law beside a random force: proposed by the segments, then an effect of the model like any other.
 
-A random force that is as strong as the law explains the same motion, so a law is hardly significant beside the force
-that was estimated without it. The search therefore assumes a weaker force, together with the known effects that are
-significant beside that one. Then everything is fitted anew, the random force included. The law must be significant
-among all forms that were tried, and must predict omitted train runs better.
+Everything is fitted anew with a law, the random force included. The law must be significant among all forms that were
+tried, and must predict omitted train runs better.
 """
 
 from collections.abc import Sequence
@@ -12,23 +10,15 @@ from typing import NamedTuple
 import numpy as np
 
 from snakejax.core.progress import Phase, ProgressEvent
-from snakejax.estimation.discrepancy.kalman import gram_matrices
 from snakejax.recording.run import Case, Noise
 
-from ..law.search import score_in
-from ..law.search import search as search_laws
 from ..selection.candidates import CandidateSet
-from .confidence import beside_unknown
 from .evidence import model_evidence
 from .fitted_law import FittedLaw, Proposal, fit_law, without_idle_terms
+from .law_proposals import WEAKER, proposals
 from .left_out import Gain, left_out
 from .search import Linear, Search
-from .segment_force import force_windows
-from .subsets import choose, prune
 
-WEAKER = (1 / 3, 1 / 10, 1 / 30)
-"""A law is looked for beside the first of these shares of the random force: a tenth of its power, so that the law is
-taken for the rest. Laws are compared each beside that one of them with which it is likeliest."""
 TRIED = 5
 """So many laws are fitted with everything else, at most."""
 MOST_LAWS = 2
@@ -82,7 +72,7 @@ def choose_law(
     if len(linear.gram) < 2:
         return LawChoice()
     search.progress(ProgressEvent(Phase.LAW_SEARCH))
-    ordered = distinct([one for beside in bases(search, linear) for one in proposed(search, beside)])
+    ordered = proposals(search, linear)
     before, effects = left_out(search, linear), linear.point.effects
     whole = before.mean_square(effects)
     fitted: list[FittedLaw] = []
@@ -131,61 +121,3 @@ def may_explain(search: Search, linear: Linear, proposal: Proposal) -> bool:
     away the share that it takes of the misfit in the segments, where the force is weaker by the first of `WEAKER`."""
     largest = float(np.max(linear.point.discrepancy.force / search.scales.force))
     return WEAKER[0] * largest * np.sqrt(1 - proposal.law.share) <= search.criteria.largest_random_force
-
-
-def distinct(proposals: Sequence[Proposal]) -> list[Proposal]:
-    """The proposals, the best first, each form once: beside those effects with which it is best."""
-    of_form: dict[object, Proposal] = {}
-    for one in sorted(proposals, key=lambda one: one.penalised):
-        of_form.setdefault(one.law.form, one)
-    return list(of_form.values())
-
-
-def bases(search: Search, linear: Linear) -> list[Linear]:
-    """Beside which effects a law is looked for, each set with a random force that was estimated with it or a part of
-    it: those of `linear`, those of them that are needed (`with_needed_effects`), and those that are significant beside
-    a weaker force. Some of the known effects are there, and some stand in for the law; which, is not known before."""
-    sets: dict[tuple[str, ...], Linear] = {}
-    for one in (linear, with_needed_effects(search, linear)):
-        own = one.point.effects
-        for effects in (own, choose(beside_weaker_force(search, one, WEAKER[0]).subsets, own)):
-            key = tuple(sorted(effects))
-            sets.setdefault(key, one._replace(point=one.point._replace(effects=key)))
-    return list(sets.values())
-
-
-def with_needed_effects(search: Search, linear: Linear) -> Linear:
-    """The fit with only those effects of `linear` that are needed even if a share `cautious_force` of the forces had
-    another cause: the others may stand in for the law, which then cannot be seen beside them."""
-    effects = linear.point.effects
-    needed = prune(beside_unknown(search, linear, search.criteria.cautious_force, exact=False), effects)
-    return linear if set(needed) == set(effects) else search.refit(linear.point, needed)
-
-
-def beside_weaker_force(search: Search, linear: Linear, share: float) -> Linear:
-    """`linear` with this `share` of its random force."""
-    point = linear.point
-    weaker = point.discrepancy.without_force(np.maximum(share * point.discrepancy.force, search.scales.least_force))
-    return linear._replace(point=point._replace(discrepancy=weaker), subsets=linear.under(weaker))
-
-
-def proposed(search: Search, linear: Linear) -> list[Proposal]:
-    """The laws that the segments propose beside the effects of `linear`. They are compared by -2 log density of runs
-    left out, so that those beside a larger force, which hides more, are not taken for better ones."""
-    weak, *others = (beside_weaker_force(search, linear, share) for share in WEAKER)
-    laws = search_laws(force_windows(search, weak))
-    if not laws:
-        return []
-    thresholds = sum(linear.subsets.threshold(effect) for effect in linear.point.effects)
-    deviances = [[law.score + log_determinant(weak) for law in laws]]
-    for one in others:
-        windows, log = force_windows(search, one), log_determinant(one)
-        deviances.append([score_in(windows, law) + log for law in laws])
-    least = np.min(deviances, axis=0) + thresholds
-    return [Proposal(weak, law, float(one)) for law, one in zip(laws, least, strict=True)]
-
-
-def log_determinant(linear: Linear) -> float:
-    """ln |V| of all samples, V their covariance by noise and random force."""
-    _, logs = gram_matrices(linear.data.keeping(np.array([], int)), linear.point.discrepancy)
-    return float(logs.sum())

@@ -81,14 +81,13 @@ def motions_of(segments: Segments, values: np.ndarray, z: np.ndarray) -> MotionS
 
 
 def force_windows(search: Search, linear: Linear) -> ForceWindows:
-    """The runs at `linear`, in windows of at most `LONGEST` segments, with its effects free; the state is free where a
+    """The runs at `linear`, in windows of at most `LONGEST` segments, with all parameters; the state is free where a
     window begins, and the random force and the noise are those of `linear`."""
     segments, point = search.segments, linear.point
     grip_segments = segments.beside(point.values, segment_grip=SegmentGrip())
     at = grip_segments.linearise(np.zeros(GRIP), point.z)
     grip = _Grip(at.pose_p, at.end_p)
     track = motions_of(segments, point.values, point.z)
-    free = search.model.free(point.effects)
     counts = np.bincount(segments.cut.run)
     places = [
         (run, first, min(LONGEST, count - first))
@@ -106,7 +105,7 @@ def force_windows(search: Search, linear: Linear) -> ForceWindows:
 
     inside = np.array([np.arange(K) < length for _, _, length in places], float)
     ratio = segments.force_ratio(point.values)
-    grams = np.array(list(_grams(linear, places, rows, grip, ratio, free, K)))
+    grams = np.array(list(_grams(linear, places, rows, grip, ratio, K)))
     owner = np.array([run for run, _, _ in places])
     prior = search.prior_at(point.values)
     return ForceWindows(
@@ -116,21 +115,19 @@ def force_windows(search: Search, linear: Linear) -> ForceWindows:
         grams[:, 1:, 0],
         np.bincount(owner, grams[:, 0, 0]),
         owner,
-        prior.mean[free],
-        prior.precision[free],
+        prior.mean,
+        prior.precision,
         arranged(np.asarray(track.theta)),
         int(linear.data.present.sum()),
         beside=True,
     )
 
 
-def _grams(
-    linear: Linear, places, rows: np.ndarray, grip: _Grip, ratio: np.ndarray, free: np.ndarray, K: int
-) -> Iterator[np.ndarray]:
-    """The Gram matrix of each window: residual, the parameters `free`, force (X, Y, N) knot by knot, grip knot by
-    knot. `ratio` (3,): of a force and that in the state of a segment."""
-    data = linear.data.keeping(free)
-    P, nz = len(free), data.state.shape[-1]
+def _grams(linear: Linear, places, rows: np.ndarray, grip: _Grip, ratio: np.ndarray, K: int) -> Iterator[np.ndarray]:
+    """The Gram matrix of each window: residual, parameters, force (X, Y, N) knot by knot, grip knot by knot. `ratio`
+    (3,): of a force and that in the state of a segment."""
+    data = linear.data
+    P, nz = data.columns.shape[-1] - 1, data.state.shape[-1]
     for (run, first, length), of_window in zip(places, rows, strict=True):
         here, filled = slice(first, first + length), ((0, K - length),)
         own = [np.pad(part[run, here], [*filled, *[(0, 0)] * (part.ndim - 2)]) for part in data[:-1]]

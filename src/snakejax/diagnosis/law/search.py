@@ -78,8 +78,11 @@ class ProposedLaw(NamedTuple):
 NO_LAW = Family("nothing", "", (), ())
 
 
-def search(windows: ForceWindows, beside: Sequence[tuple[Family, np.ndarray]] = ()) -> tuple[ProposedLaw, ...]:
-    """The laws that predict runs left out best, the best first; none where no law predicts them better than nothing.
+def search(
+    windows: ForceWindows, beside: Sequence[tuple[Family, np.ndarray]] = (), most: int = KEPT
+) -> tuple[ProposedLaw, ...]:
+    """The laws that predict runs left out best, the best first and so many at `most`; none where no law predicts them
+    better than nothing.
 
     Of laws that do not differ by `FEWEST_CHI2` from the best, the one with the fewest parameters is first. Where no
     formula leaves only noise there, or in windows `beside` a random force, which hides what a formula leaves, smooth
@@ -92,10 +95,10 @@ def search(windows: ForceWindows, beside: Sequence[tuple[Family, np.ndarray]] = 
     laws = _proposals(windows, _best_trials(windows, forms, given), len(forms), nothing)
     noise = largest_noise_misfit(windows.samples)
     if laws and (windows.beside or min(law.left_out for law in laws) > noise):
-        most = min(law.score - FEWEST_CHI2 * max(1.0, law.left_out) for law in laws)
-        smooth = [law for law in _smooth_laws(windows, given, nothing, len(forms)) if law.score < most]
+        limit = min(law.score - FEWEST_CHI2 * max(1.0, law.left_out) for law in laws)
+        smooth = [law for law in _smooth_laws(windows, given, nothing, len(forms)) if law.score < limit]
         laws = sorted([*laws, *(smooth if windows.beside else much_better(smooth, laws))], key=lambda law: law.score)
-    return tuple(_simplest_first(laws)[:KEPT])
+    return tuple(_simplest_first(laws)[:most])
 
 
 def smooth_laws(windows: ForceWindows) -> tuple[ProposedLaw, ...]:
@@ -105,10 +108,10 @@ def smooth_laws(windows: ForceWindows) -> tuple[ProposedLaw, ...]:
     return tuple(_smooth_laws(windows, (), nothing, forms))
 
 
-def score_in(windows: ForceWindows, law: ProposedLaw) -> float:
-    """The `score` of a law in other `windows` than those that propose it, with its shape refined there."""
-    trial = refined(windows, form_at(windows, law.family, law.shape[None], ())[0], ())
-    return _score(windows, trial, law.forms)
+def with_amplitudes(law: ProposedLaw, amplitudes: np.ndarray, steps: np.ndarray) -> ProposedLaw:
+    """`law` with other `amplitudes` (T,) of its terms, and other `steps` of the other parameters."""
+    trial = Trial(law.family, law.shape, amplitudes, steps, np.nan, law.left_out)
+    return _proposed(trial, 1, law.score)._replace(share=law.share, forms=law.forms)
 
 
 def much_better(smooth: Sequence[ProposedLaw], laws: Sequence[ProposedLaw]) -> list[ProposedLaw]:
@@ -158,7 +161,8 @@ def _proposals(windows: ForceWindows, trials: Sequence[Trial], forms: int, nothi
     """The laws of `trials`, the best of so many `forms`, that predict better than `nothing`; the best first."""
     laws: dict[object, ProposedLaw] = {}
     for trial in trials:
-        score = _score(windows, trial, forms)
+        variance = max(1.0, trial.left_out / windows.samples)
+        score = trial.left_out + variance * chance(trial.family, forms)
         if score < nothing:
             excess = max(nothing - windows.samples, 1e-9)
             share = float(np.clip((nothing - trial.left_out) / excess, 0.0, 1.0))
@@ -167,11 +171,6 @@ def _proposals(windows: ForceWindows, trials: Sequence[Trial], forms: int, nothi
             if law.form not in laws or score < laws[law.form].score:
                 laws[law.form] = law
     return _of_all_wheels(_without_limits(sorted(laws.values(), key=lambda law: law.score), windows.samples))
-
-
-def _score(windows: ForceWindows, trial: Trial, forms: int) -> float:
-    """chi^2 on runs left out with a `trial`, the best of so many `forms`, and what the choice costs."""
-    return trial.left_out + max(1.0, trial.left_out / windows.samples) * chance(trial.family, forms)
 
 
 def _without_limits(laws: list[ProposedLaw], samples: int) -> list[ProposedLaw]:
@@ -229,12 +228,17 @@ def _simplest_first(ordered: list[ProposedLaw]) -> list[ProposedLaw]:
 def chance(family: Family, forms: int) -> float:
     """What the best of so many `forms` gains in chi^2 on runs left out by chance, with the terms of `family`.
 
-    chi^2 of T amplitudes exceeds its quantile at 1 - 1 / N in one of N trials. Each start of the shape is a trial, or
-    each penalty, and an amplitude that fits chance costs 1 on runs left out.
+    chi^2 of T amplitudes exceeds its quantile at 1 - 1 / N in one of N trials, and an amplitude that fits chance costs
+    1 on runs left out.
     """
+    return float(stats.chi2.isf(1.0 / choices(family, forms), len(family.terms)) - len(family.terms))
+
+
+def choices(family: Family, forms: int) -> int:
+    """Among how many trials one of `family` is the best, of so many `forms`: each start of the shape is one, or each
+    penalty."""
     starts = [len(part.starts) for part in family.shape]
-    trials = forms * np.prod(starts if family.curvature is None else [len(PENALTIES)])
-    return float(stats.chi2.isf(1.0 / trials, len(family.terms)) - len(family.terms))
+    return int(forms * np.prod(starts if family.curvature is None else [len(PENALTIES)]))
 
 
 def _values(trial: Trial) -> dict[str, float]:

@@ -111,6 +111,17 @@ class ForceWindows(NamedTuple):
         )
         return ForceWindows(*of_motion, *whole, prior_mean, precision, track.theta[:, pick], count)
 
+    def keeping(self, columns: np.ndarray) -> "ForceWindows":
+        """With only the parameters numbered `columns`."""
+        P = len(self.prior_mean)
+        kept = np.concatenate([columns, np.arange(P, self.matrix.shape[-1])]).astype(int)
+        return self._replace(
+            matrix=self.matrix[:, kept][:, :, kept],
+            right=self.right[:, kept],
+            prior_mean=self.prior_mean[columns],
+            precision=self.precision[columns],
+        )
+
     def ranges(self) -> dict[str, Range]:
         """What was seen of each variable that varies, and of the angle and the rate of each joint in the world."""
         own = {name: values for name, values in self.variables.items() if name not in NOT_ALONE}
