@@ -30,8 +30,8 @@ COMPARED = 30
 """So many laws beside each set of effects are compared, at most."""
 RIDGE, TINY = 1e-6, 1e-12
 """Precision of the prior of an amplitude, as a share of what the runs say of it alone, and in its unit."""
-LAW = "law"
-"""The name of a law among the candidates while it is compared with others."""
+LAW = "a law"
+"""The name of a law among the candidates while it is compared with others; no effect can be called so."""
 
 
 class Beside(NamedTuple):
