@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from snakejax.core.formula import evaluated
+from snakejax.core.formula import evaluated, names_in, parsed
 from snakejax.diagnosis.law.grammar import families
 from snakejax.diagnosis.law.knots import KnotFit, hats_at
 from snakejax.diagnosis.law.search import finer, search, smooth_laws, wider, with_amplitudes
@@ -542,6 +542,25 @@ def test_each_form_of_the_grammar_is_an_expression_whose_value_is_that_of_its_te
             ]
             expected = sum(parts) + (component == "grip")
             assert float(evaluated(tree, known, np)) == pytest.approx(expected, rel=1e-9)
+
+
+def test_no_form_drives_the_body_whichever_way_it_moves() -> None:
+    """A force along the body that depends on its speed alone is another one backwards."""
+    seen = {name: Range(-1.0, 1.2) for name in NAMES} | {"speed": Range(0.0, 1.2)}
+    motion = {"u": 0.4, "w": 0.0, "speed": 0.4, "axle": 1.0, "rolling_speed": 0.3, "slip_speed": 0.1}
+    counted = 0
+    for family in families(seen, ("slip_speed", "axle", "rolling_speed")):
+        known = motion | {part.name: part.starts[0] for part in family.shape}
+        along = [parsed(text or "1") for term in family.terms for side, text in term.formulas if side == "X"]
+        if not set(family.variables) & {"u", "speed"} or not {n for tree in along for n in names_in(tree)} <= set(
+            known
+        ):
+            continue
+        ahead, back = (sum(float(evaluated(tree, known | {"u": u}, np)) for tree in along) for u in (0.4, -0.4))
+        if abs(ahead) > 1e-9:
+            assert ahead != pytest.approx(back, rel=1e-9), family
+            counted += 1
+    assert counted > 20
 
 
 def test_units_of_products() -> None:

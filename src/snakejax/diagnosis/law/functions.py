@@ -17,6 +17,12 @@ class Function(NamedTuple):
     shape: tuple[ShapeParameter, ...] = ()
 
 
+EVEN = ("square", "absolute value", "even saturation", "two ramps", "round absolute value")
+"""The names of those that do not change with the sign of their variable."""
+ODD = ("linear", "signed square", "linear and signed square", "saturation", "play")
+"""The names of those that change their sign with that of their variable."""
+
+
 def functions_of(variable: str, interval: Range) -> Iterator[Function]:
     """The functions of one variable."""
     v, unit = variable, unit_of(variable)

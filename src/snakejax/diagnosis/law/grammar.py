@@ -37,7 +37,7 @@ from itertools import combinations
 import numpy as np
 
 from .friction_forms import friction_forms
-from .functions import Function, functions_of
+from .functions import EVEN, ODD, Function, functions_of
 from .plane_forms import in_the_plane
 from .plane_shapes import PlaneShapes
 from .point_forms import of_a_point
@@ -70,6 +70,10 @@ WORLD = ((EAST, "abc"), (NORTH, "fgh"))
 """The axes of the world, with letters for amplitudes along them."""
 BODY = tuple(zip(ACTIONS[:3], ("abc", "fgh", "jlm"), strict=True))
 """The axes of the body and its yaw moment, likewise: a force in any direction that acts at any point of the body."""
+ALONG = ACTIONS[0].name
+"""The action of a force along the body."""
+AGAINST_MOTION = ("drag", "friction")
+"""The actions against the velocity of the body."""
 OF_GRIP = ("grip", LOAD.name, FRONT.name, BACK.name)
 """Those actions that are a change of the grip."""
 
@@ -84,19 +88,19 @@ def families(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]
     for variable, interval in ranges.items():
         for function in functions_of(variable, interval):
             for action in (*ACTIONS, *_of_axles(variable, wheel)):
-                if not may_act(action, variable, wheel):
+                if not may_act(action, variable, wheel) or drives(action.name, variable, function.name):
                     continue
                 if action.name in OF_GRIP and function.name in ("affine", "falling threshold"):
                     continue  # A constant part of the grip is that of the tyre, or of one tyre.
                 yield _of_one_variable(action, function, variable)
             if variable in WORLD_VARIABLES:
                 yield _along(WORLD, "world", function, variable)
-            if variable not in wheel:
+            if variable not in wheel and not drives(BODY_ACTION, variable, function.name):
                 yield _along(BODY, BODY_ACTION, function, variable)
     for one, other in combinations(single, 2):
         if one in wheel or other in wheel:
             continue
-        for action in ACTIONS[:3]:
+        for action in (one_of for one_of in ACTIONS[:3] if not (one_of.name == ALONG and "speed" in (one, other))):
             unit = product(unit_of(one), unit_of(other))
             yield Family("product", action.name, (one, other), (term_of(action, "a", f"{one} * {other}", unit),))
             parts = tuple(term_of(action, letter, v, unit_of(v)) for letter, v in (("a", one), ("b", other)))
@@ -110,6 +114,16 @@ def families(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]
     for action in (*DRAGGING, SLIDING) if "axle" in wheel else ():
         variable = "slip_speed" if action is SLIDING else "rolling_speed"
         yield Family("constant", action.name, (variable,), (term_of(action, "a", "", {}),), action.shape)
+
+
+def drives(action: str, variable: str, function: str) -> bool:
+    """Whether a force along the body is the same whichever way the body moves, and so drives it one way: nothing
+    passive does. From runs that all go forward it cannot be told from a resistance, and leads others astray."""
+    if action in AGAINST_MOTION:
+        return variable == "u" and function in ODD
+    return action in (ALONG, BODY_ACTION) and (
+        variable == "speed" or (variable == "u" and function in (*EVEN, "affine"))
+    )
 
 
 def _of_axles(variable: str, wheel: Sequence[str]) -> tuple[Action, ...]:
