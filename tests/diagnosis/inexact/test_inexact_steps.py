@@ -30,7 +30,10 @@ def test_a_step_before_the_last_starts_at_the_values_of_the_assessment(
 
     names = ("tyre.D", "board.mass", "effects.a.k", "effects.b.k", "effects.c.k")
     model = SimpleNamespace(
-        names=names, neutral=np.array([5.0, 7.0, 0.0, 0.0, 1.0]), candidates=OrderedDict(a=(2,), b=(3,), c=(4,))
+        names=names,
+        neutral=np.array([5.0, 7.0, 0.0, 0.0, 1.0]),
+        candidates=OrderedDict(a=(2,), b=(3,), c=(4,)),
+        constants=(1,),
     )
     candidate_set = SimpleNamespace(
         switched=False,
@@ -59,3 +62,7 @@ def test_a_step_before_the_last_starts_at_the_values_of_the_assessment(
     assert starts[2:] == ([] if second < 5.0 else [first | {"tyre.D": 7.0}])
     assert [(name, effects) for name, effects, _ in shown] == [("a", ("a",)), ("b", ("a", "b")), ("c", ("a", "b", "c"))]
     assert shown[-1][2] == dict(zip(names, (6.0, 7.5, 0.1, 0.2, 0.9), strict=True))
+
+    misfits, starts[:] = iter([6.0]), []
+    alone: Any = steps.beside_stated_constants(assessment, ("a",))
+    assert alone[1] == ("a",) and starts == [first | {"board.mass": 7.0}], "the mass has its stated value"
