@@ -111,8 +111,8 @@ def preferred(fitted: Sequence[FittedLaw]) -> FittedLaw:
 
 
 def near(ordered: Sequence[Proposal], distinct_chi2: float) -> list[Proposal]:
-    """The first few proposals, whose chi^2 on runs left out is less than twice `distinct_chi2` above the best: in the
-    segments the parameters beside a law are held, and the random force is weaker than it is."""
+    """The first few proposals that are less than twice `distinct_chi2` above the best: in the segments the shape of a
+    law is held, and the random force is one of three."""
     return [one for one in ordered if one.penalised - ordered[0].penalised < 2 * distinct_chi2][:TRIED]
 
 
