@@ -22,7 +22,7 @@ from snakejax.dynamics.law import Law, LawParameter, law
 from snakejax.estimation.uncertainty import Estimate
 from snakejax.present.as_json.saved import saved_fit
 from snakejax.present.as_json.schema import schema_of
-from snakejax.present.as_text.certainty import law_sentences
+from snakejax.present.as_text.certainty import confidence_sentences, law_sentences
 from snakejax.present.as_text.first_lines import first_lines
 from snakejax.present.report import explanation_page
 from snakejax.present.report.charts import shape
@@ -106,6 +106,19 @@ def test_a_rival_with_more_numbers_is_not_told_and_a_long_one_is_told_in_words()
 
 def test_a_rival_that_is_far_off_is_said_to_be() -> None:
     assert any("No other form comes near it" in line for line in law_sentences(told(rival=9.0)))
+
+
+def test_laws_that_do_as_well_beside_a_random_force_are_told() -> None:
+    found = told()
+    assert found.law is not None
+    law = dataclasses.replace(found.law, misfit=None)
+    sure = {"law_1": "ambiguous"}
+    beside = dataclasses.replace(found, law=law, confidence=sure)
+    lines = list(law_sentences(beside))
+    assert lines[-1] == "These laws predict omitted runs as well: grip = 1 - a * rotor_rate ** 2."
+    assert "Ambiguous: another law would explain" in " ".join(confidence_sentences(beside, "law_1"))
+    alone = dataclasses.replace(beside, law=dataclasses.replace(law, laws=law.laws[:1]))
+    assert not any("omitted runs as well" in line for line in law_sentences(alone))
 
 
 def test_a_law_that_leaves_more_than_noise_is_told_to_lower_the_error() -> None:

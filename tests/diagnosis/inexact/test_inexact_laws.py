@@ -10,10 +10,11 @@ import pytest
 from scipy import stats
 
 from snakejax.diagnosis.inexact import confidence as sureness
-from snakejax.diagnosis.inexact import laws
+from snakejax.diagnosis.inexact import explaining, laws
 from snakejax.diagnosis.inexact.candidate_model import CandidateModel
 from snakejax.diagnosis.inexact.fitted_law import FittedLaw, Proposal, _with_wide_priors
 from snakejax.diagnosis.inexact.subsets import Subsets, choose
+from snakejax.diagnosis.latent_force.missing_force import LatentForce
 from snakejax.diagnosis.law.search import ProposedLaw
 from snakejax.diagnosis.law.terms import Family, Term
 from snakejax.diagnosis.selection.criteria import CRITERIA
@@ -119,7 +120,8 @@ def test_of_laws_that_do_as_well_the_one_that_predicts_runs_left_out_best_is_kep
 
     choose_law = chooser(monkeypatch, found, fitted)
     got = choose_law(3).law
-    assert got is not None and got.name == kept and got.rivals == rivals
+    assert got is not None and got.name == kept
+    assert tuple(law.expression for law in got.rivals) == rivals
     assert choose_law(1) == laws.LawChoice()
 
 
@@ -289,3 +291,31 @@ def test_a_second_law_keeps_the_prior_of_the_first() -> None:
 )
 def test_the_word_for_a_law(predicts, law, falls, instead, word) -> None:
     assert sureness._confidence(12.0, predicts, law, falls, instead).word == word
+
+
+def test_what_is_missing_without_a_law_tells_the_laws_that_do_as_well(monkeypatch) -> None:
+    """The law is neutral in the model of which a force is missing; its variable comes first, its rivals last."""
+    asked: list[Any] = []
+
+    def random_force(search: Any, point: Any, switched: bool) -> LatentForce:
+        asked.append(point)
+        return LatentForce((), (), None, None, {}, switched)
+
+    monkeypatch.setattr(explaining, "random_force", random_force)
+    first, rival = (proposal(text, "X", (text,), 0.0) for text in ("x", "y"))
+    model = SimpleNamespace(candidates={"law_1": [1]}, neutral=np.zeros(2))
+    point = SimpleNamespace(_replace=lambda **new: new)
+    law: Any = SimpleNamespace(
+        name="law_1",
+        proposal=first,
+        rivals=(rival.law,),
+        search=SimpleNamespace(values=lambda linear: np.array([3.0, 4.0]), model=model),
+        linear=SimpleNamespace(point=point),
+        candidate_set=SimpleNamespace(switched=True),
+    )
+    without: Any = "the discrepancy without it"
+    force = explaining.force_without([law], without)
+    assert [one.expression for one in force.laws] == ["x", "y"] and force.is_random
+    assert [name for name, _ in force.depends_on] == ["world_position"]
+    np.testing.assert_array_equal(asked[0]["values"], [3.0, 0.0])
+    assert asked[0]["discrepancy"] == without

@@ -77,7 +77,8 @@ def assess_effects(
     heldout = case.having("heldout")
     if not choices.laws:
         return assess(candidate_set, search, linear, tuple(base), heldout, {}, choices.undecided)
-    last, rivals = choices.laws[-1], {law.name: law.rivals for law in choices.laws}
+    last = choices.laws[-1]
+    rivals = {law.name: tuple(rival.expression for rival in law.rivals) for law in choices.laws}
     kept = {name: others for name, others in rivals.items() if name in last.linear.point.effects}
     assessment = assess(last.candidate_set, last.search, last.linear, tuple(base), heldout, kept, choices.undecided)
     laws = [law for law in choices.laws if law.name in kept]
@@ -86,7 +87,8 @@ def assess_effects(
 
 def force_without(laws: Sequence[FittedLaw], discrepancy: Discrepancy) -> LatentForce:
     """What is missing beside everything else of the model with `laws`: the random force as strong as `discrepancy`
-    says, which was estimated without them. The share of a law is that of what those before it leave."""
+    says, which was estimated without them. The share of a law is that of what those before it leave. After the laws
+    stand those that predict runs left out as well."""
     last = laws[-1]
     search, values = last.search, last.search.values(last.linear)
     proposals, left = [], 1.0
@@ -96,7 +98,8 @@ def force_without(laws: Sequence[FittedLaw], discrepancy: Discrepancy) -> Latent
         proposals.append(law.proposal.law._replace(share=left * law.proposal.law.share))
         left *= 1 - law.proposal.law.share
     point = last.linear.point._replace(values=values, discrepancy=discrepancy)
-    return random_force(search, point, last.candidate_set.switched).with_found(proposals)
+    force = random_force(search, point, last.candidate_set.switched).with_found(proposals)
+    return dataclasses.replace(force, laws=(*force.laws, *(rival for law in laws for rival in law.rivals)))
 
 
 def predicts_heldout_runs(assessment: Assessment, criteria: SelectionCriteria) -> bool:

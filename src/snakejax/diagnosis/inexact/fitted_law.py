@@ -62,7 +62,7 @@ class FittedLaw(NamedTuple):
     linear: Linear
     deviance: np.ndarray
     mean_square: np.ndarray
-    rivals: tuple[str, ...] = ()
+    rivals: tuple[ProposedLaw, ...] = ()
 
     @property
     def exact(self) -> bool:

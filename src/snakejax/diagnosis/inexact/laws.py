@@ -93,9 +93,9 @@ def choose_law(
     if not gain.exceeds_standard_error or (displaced and gain.by_part.sum() < search.criteria.distinct_chi2):
         return LawChoice()
     subject = best.proposal.subject
-    rivals = tuple(one.proposal.law.expression for one in as_good if one.proposal.subject != subject)
+    rivals = tuple(one.proposal.law for one in as_good if one.proposal.subject != subject)
     if rivals and not Gain(whole - best.mean_square, 0.0).exceeds_standard_error:
-        return LawChoice(undecided=(best.proposal.law.expression, *rivals))
+        return LawChoice(undecided=tuple(law.expression for law in (best.proposal.law, *rivals)))
     best = without_idle_terms(case, noise, candidate_set, search, base, best)
     return LawChoice(best._replace(rivals=rivals))
 

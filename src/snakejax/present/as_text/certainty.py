@@ -21,7 +21,9 @@ def confidence_sentences(explanation: Explanation, effect: str) -> Iterator[str]
         return
     twins = {row.effect: None for row in explanation.candidates if effect in row.instead_of}
     twins = twins or dict.fromkeys(indistinguishable(explanation.steps, effect))
-    others = listed(tuple(twins), "or") if twins else "another effect"
+    others = (
+        listed(tuple(twins), "or") if twins else "another law" if effect in explanation.named_laws else "another effect"
+    )
     sure = SURE_OF_WINDOWS if explanation.of_windows else SURE_WHERE_EXACT if explanation.floor is None else ""
     unknown = percent(explanation.base.criteria.largest_random_force)
     yield (sure if word == "sure" else "") or CONFIDENCE[word].format(others=others, unknown=unknown)
@@ -51,7 +53,12 @@ def law_sentences(explanation: Explanation) -> Iterator[str]:
             f"Share of the squared error above {above}, on omitted runs, that a force of one variable alone predicts:"
             f" {', '.join(shares)}."
         )
-    others = [law for law in force.laws if law.expression not in taken and not any(_is_more(law, one) for one in laws)]
+    others = [law for law in force.laws if law.expression not in taken]
+    if force.is_random:
+        if others:
+            yield f"These laws predict omitted runs as well: {'; or '.join(_short(law) for law in others)}."
+        return
+    others = [law for law in others if not any(_is_more(law, one) for one in laws)]
     least = min(law.left_out for law in force.laws)
     close = [law for law in others if law.left_out - 1 < ALMOST * max(least - 1, LEAST_EXCESS)]
     if close:
