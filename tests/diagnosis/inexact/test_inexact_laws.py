@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.proposed_laws import proposal
 from scipy import stats
 
 from snakejax.diagnosis.inexact import confidence as sureness
@@ -15,8 +16,6 @@ from snakejax.diagnosis.inexact.candidate_model import CandidateModel
 from snakejax.diagnosis.inexact.fitted_law import FittedLaw, Proposal, _with_wide_priors
 from snakejax.diagnosis.inexact.subsets import Subsets, choose
 from snakejax.diagnosis.latent_force.missing_force import LatentForce
-from snakejax.diagnosis.law.search import ProposedLaw
-from snakejax.diagnosis.law.terms import Family, Term
 from snakejax.diagnosis.selection.criteria import CRITERIA
 from snakejax.dynamics.law import LawParameter
 from snakejax.estimation.discrepancy.least_squares import Prior
@@ -45,12 +44,6 @@ def test_the_best_of_many_forms_is_taken_by_chance_as_often_as_the_level_says() 
     assert sum(bool(choose(one, ["law_1"])) for one in problems) <= stats.binom.isf(0.001, 100, level)
     assert sum(bool(choose(one._replace(trials={}), ["law_1"])) for one in problems) > 5
     assert choose(best_of_forms(1, size=9.0), []) == ["law_1"]
-
-
-def proposal(expression: str, action: str, variables: tuple[str, ...], penalised: float) -> Proposal:
-    family, none = Family("", action, variables, (Term("a", {}, ((action, expression),)),)), np.zeros(0)
-    law = ProposedLaw(expression, (), {}, family, none, 1.0, penalised, none)
-    return Proposal(None, law, penalised)  # type: ignore[arg-type]
 
 
 ERRORS = np.full(3, 10.0)

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.proposed_laws import proposal
 from scipy import stats
 
 from snakejax.diagnosis.inexact import law_proposals
-from snakejax.diagnosis.inexact.fitted_law import Proposal
 from snakejax.diagnosis.inexact.law_proposals import LAW, Beside
 from snakejax.diagnosis.inexact.subsets import Subsets
 from snakejax.diagnosis.law.search import ProposedLaw
@@ -20,12 +20,6 @@ from snakejax.estimation.discrepancy.kalman import Discrepancy
 from snakejax.estimation.discrepancy.least_squares import Prior
 
 SAMPLES = 400
-
-
-def proposal(expression: str, action: str, variables: tuple[str, ...], penalised: float) -> Proposal:
-    family, none = Family("", action, variables, (Term("a", {}, ((action, expression),)),)), np.zeros(0)
-    law = ProposedLaw(expression, (), {}, family, none, 1.0, penalised, none)
-    return Proposal(None, law, penalised)  # type: ignore[arg-type]
 
 
 def test_each_form_is_proposed_once(monkeypatch) -> None:
@@ -152,10 +146,6 @@ def test_laws_are_compared_beside_the_force_with_which_each_is_likeliest(monkeyp
         parameters=(LawParameter("a", "N"),), values={"a": 1.0}
     )
     of_force = {1 / 3: (50.0, ["drag", LAW], 1.0), 1 / 10: (41.0, ["slope", LAW], 2.0), 1 / 30: (42.0, ["drag"], 3.0)}
-
-    class Made(SimpleNamespace):
-        def _replace(self, **new: Any) -> "Made":
-            return Made(**(vars(self) | new))
 
     def weaker(search: Any, linear: Any, share: float) -> Any:
         subsets = SimpleNamespace(without=lambda unfit: share)
