@@ -211,6 +211,23 @@ def test_the_first_effect_and_the_constants_divide_what_they_explain(errors, sha
     assert explaining.divided_share(*errors) == pytest.approx(shares)
 
 
+def test_an_effect_that_cannot_be_simulated_without_the_constants_takes_nothing_away_alone(monkeypatch) -> None:
+    asked: list[tuple[str, ...]] = []
+
+    def alone(assessment: Any, effects: tuple[str, ...]) -> Any:
+        asked.append(effects)
+        if assessment is None:
+            raise FitError("the simulation is not finite")
+        return SimpleNamespace(heldout=SimpleNamespace(misfit=30.0))
+
+    monkeypatch.setattr(explaining, "beside_stated_constants", alone)
+    steps: Any = [SimpleNamespace(name=n, heldout=SimpleNamespace(misfit=e)) for n, e in (("", 100.0), ("drag", 5.0))]
+    of: Any = "an assessment"
+    none: Any = None
+    assert explaining._error_beside_stated_constants(of, steps) == 30.0 and asked == [("drag",)]
+    assert explaining._error_beside_stated_constants(none, steps) == 100.0
+
+
 def test_the_linear_problem_keeps_constants_and_grip_within_what_it_holds_for() -> None:
     """A vehicle without mass and grip needs no force: a step of -1 of their logarithms would explain all."""
     positive, signed = Domain("kg", 1e-9, np.inf, True, True), Domain("N", -np.inf, np.inf, False, False)

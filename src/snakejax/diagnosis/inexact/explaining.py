@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from snakejax.core.errors import FitError
 from snakejax.core.progress import Progress
 from snakejax.dynamics.constraints import LATERAL_SLIP_SWITCH
 from snakejax.estimation.discrepancy.kalman import Discrepancy
@@ -128,8 +129,9 @@ def explanation_of(
     share, explained_share = shares_of(steps)
     constants_share = max(0.0, shares_of([base, with_constants])[1])
     if claimed and not _is_switched(steps):
-        alone = beside_stated_constants(assessment, claimed[:1])
-        share[claimed[0]], constants_share = divided_share(*(_error(s) for s in (*steps[:2], with_constants, alone)))
+        alone = _error_beside_stated_constants(assessment, steps)
+        of_first = divided_share(_error(base), _error(steps[1]), _error(with_constants), alone)
+        share[claimed[0]], constants_share = of_first
     remainder = _remainder(final, noise_floor, assessment.undecided_laws)
     fails = bool(claimed) and leaves_most(explained_share, remainder, noise_floor, noise)
     verdict = ("explained" if claimed else "adequate") if explained and not (misleads or fails) else "unexplained"
@@ -178,6 +180,15 @@ def _word(word: str, misleads: bool) -> str:
 def _is_switched(steps: Sequence[SelectionStep]) -> bool:
     """Whether the effects of `steps` act under another structure than that of the base."""
     return len(steps) > 1 and steps[1].name == LATERAL_SLIP_SWITCH
+
+
+def _error_beside_stated_constants(assessment: Assessment, steps: Sequence[SelectionStep]) -> float:
+    """The squared error with the first effect and the constants of the vehicle as stated; that of the base where such a
+    model cannot be simulated, as then the effect alone takes nothing away."""
+    try:
+        return _error(beside_stated_constants(assessment, (steps[1].name,)))
+    except FitError:
+        return _error(steps[0])
 
 
 def divided_share(base: float, both: float, with_constants: float, with_effect: float) -> tuple[float, float]:
