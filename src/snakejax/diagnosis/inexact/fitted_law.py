@@ -25,8 +25,8 @@ WIDE = 3.0
 
 
 class Proposal(NamedTuple):
-    """A `law` that the segments propose beside the effects of `weak`. `penalised`: -2 log density of runs left out with
-    it, and what its parameters and the effects cost."""
+    """A `law` that the segments propose beside the effects of `weak`. `penalised`: -2 log likelihood with it, and what
+    it and the effects cost."""
 
     weak: Linear
     law: ProposedLaw

@@ -100,7 +100,9 @@ def families(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]
     for one, other in combinations(single, 2):
         if one in wheel or other in wheel:
             continue
-        for action in (one_of for one_of in ACTIONS[:3] if not (one_of.name == ALONG and "speed" in (one, other))):
+        for action in ACTIONS[:3]:
+            if any(drives(action.name, variable, "product") for variable in (one, other)):
+                continue
             unit = product(unit_of(one), unit_of(other))
             yield Family("product", action.name, (one, other), (term_of(action, "a", f"{one} * {other}", unit),))
             parts = tuple(term_of(action, letter, v, unit_of(v)) for letter, v in (("a", one), ("b", other)))

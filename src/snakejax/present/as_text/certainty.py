@@ -21,9 +21,8 @@ def confidence_sentences(explanation: Explanation, effect: str) -> Iterator[str]
         return
     twins = {row.effect: None for row in explanation.candidates if effect in row.instead_of}
     twins = twins or dict.fromkeys(indistinguishable(explanation.steps, effect))
-    others = (
-        listed(tuple(twins), "or") if twins else "another law" if effect in explanation.named_laws else "another effect"
-    )
+    unnamed = "another law" if effect in explanation.named_laws else "another effect"
+    others = listed(tuple(twins), "or") if twins else unnamed
     sure = SURE_OF_WINDOWS if explanation.of_windows else SURE_WHERE_EXACT if explanation.floor is None else ""
     unknown = percent(explanation.base.criteria.largest_random_force)
     yield (sure if word == "sure" else "") or CONFIDENCE[word].format(others=others, unknown=unknown)
