@@ -318,6 +318,18 @@ def test_derivatives_that_are_not_those_of_the_simulation_are_noticed() -> None:
         assert inconsistent_derivative(problem, other, train) == ["tyre.D"]
 
 
+def test_the_derivative_that_is_not_that_of_the_simulation_is_named_among_several(design) -> None:
+    """All are checked at once; where they do not agree together, each of them alone."""
+    study = design.recorded(design.poses(), 3)
+    solution = study.fit(TRUTH, TYRE, RUNS)
+    assert inconsistent_derivative(study, solution, RUNS) == []
+    for k, name in enumerate(TYRE):
+        J = solution.linearised.jacobian.copy()
+        J[..., k] *= 3.0
+        wrong = solution._replace(linearised=solution.linearised._replace(jacobian=J))
+        assert inconsistent_derivative(study, wrong, RUNS) == [name]
+
+
 def test_a_fit_whose_derivatives_never_hold_has_values_and_no_errors(monkeypatch: pytest.MonkeyPatch) -> None:
     """The values are those at which it ended; what keeps them from having errors is said."""
     problem, solution = problem_of(small()[2])

@@ -93,45 +93,57 @@ def linearise_in_threads(
     return Linearised(*(sum(parts[1:], parts[0]) for parts in zip(*shares, strict=True)))
 
 
-def _solved_by_steps(
-    model, at: Variables, batch: Batch, runs: list[int], accuracy: Accuracy, settings: SolverSettings, prior
-) -> LeastSquaresResult:
+class _Origin(NamedTuple):
+    """Where a fit begins: `model` and `batch` at the variables `at`, simulated with `accuracy`, and the linearisation
+    there if it is `known`."""
+
+    model: Model
+    at: Variables
+    batch: Batch
+    accuracy: Accuracy
+    known: Linearised | None
+
+    def linearised(self, runs: list[int], z: np.ndarray, moves: np.ndarray) -> Linearised:
+        """The linearisation of `runs` after the steps `z` (K,) of the parameters and `moves` (R, S) of the starts."""
+        if self.known is not None and not z.any() and not moves.any():
+            return self.known
+        return linearise_in_threads(self.model, self.at, self.batch, runs, self.accuracy, z, moves)
+
+    def moved(self, z: np.ndarray, moves: np.ndarray) -> Variables:
+        """The variables after these steps."""
+        values = retract(domains_of(self.model, self.at.names), self.at, jnp.asarray(z))
+        start = self.at.start + self.at.free_start * jnp.asarray(moves)
+        return eqx.tree_at(lambda u: (u.values, u.start), self.at, (values, start))
+
+
+def _solved_by_steps(origin: _Origin, runs: list[int], settings: SolverSettings, prior) -> LeastSquaresResult:
     """`solve` for few runs: with the start states of the whole batch as variables beside the parameters."""
-    width, (R, depth) = len(at.directions), at.start.shape
+    width, (R, depth) = len(origin.at.directions), origin.at.start.shape
     pull, strength = prior
 
     def linearised_at(z: np.ndarray) -> LinearResiduals:
-        moves = z[width:].reshape(R, depth)
-        linearised = linearise_in_threads(model, at, batch, runs, accuracy, z[:width], moves)
+        linearised = origin.linearised(runs, z[:width], z[width:].reshape(R, depth))
         r, J = _robust(*linearised, float(settings.threshold))
         pulled = strength * (z[:width] - pull)
         return LinearResiduals(r.reshape(R, -1), J.reshape(R, -1, width + depth), pulled, strength, linearised)
 
-    samples = float((np.asarray(batch.weight)[runs] > 0).sum())
+    samples = float((np.asarray(origin.batch.weight)[runs] > 0).sum())
     ending = StoppingRule(settings.enough, settings.crawl, _float64(samples), settings.most)
     ended = levenberg_marquardt(linearised_at, np.zeros(width + R * depth), _float64(INVERSE_DAMPING), ending)
-    moved = _moved(model, at, ended.z[:width], ended.z[width:].reshape(R, depth))
+    moved = origin.moved(ended.z[:width], ended.z[width:].reshape(R, depth))
     return LeastSquaresResult(moved, ended.residuals.detail, ended.steps, ended.settled)
 
 
-def _moved(model, at: Variables, z: np.ndarray, moves: np.ndarray) -> Variables:
-    """`at` after the steps `z` (K,) of the parameters and `moves` (R, S) of the start states."""
-    values = retract(domains_of(model, at.names), at, jnp.asarray(z))
-    return eqx.tree_at(lambda u: (u.values, u.start), at, (values, at.start + at.free_start * jnp.asarray(moves)))
-
-
-def _solved_by_elimination(
-    model, at: Variables, batch: Batch, runs: list[int], accuracy: Accuracy, settings: SolverSettings, prior
-) -> LeastSquaresResult:
+def _solved_by_elimination(origin: _Origin, runs: list[int], settings: SolverSettings, prior) -> LeastSquaresResult:
     """`solve` for many runs, whose start states are eliminated run by run."""
-    free_start = np.asarray(batch.free_start)
-    width, R = at.directions.shape[0], len(free_start)
+    free_start = np.asarray(origin.batch.free_start)
+    width, R = origin.at.directions.shape[0], len(free_start)
     last: dict[str, tuple] = {}
 
     def at_point(z: np.ndarray, starts: np.ndarray, numbers: np.ndarray) -> Linearised:
         all_starts = np.zeros_like(free_start)
         all_starts[runs] = starts
-        return linearise_in_threads(model, at, batch, [runs[k] for k in numbers], accuracy, z, all_starts)
+        return origin.linearised([runs[k] for k in numbers], z, all_starts)
 
     def of_runs(z: np.ndarray, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         linearised = at_point(z, starts, np.arange(len(runs)))
@@ -145,9 +157,9 @@ def _solved_by_elimination(
     def robust(parts: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         return _robust(*parts, float(settings.threshold))
 
-    samples = int((np.asarray(batch.weight)[runs] > 0).sum())
+    samples = int((np.asarray(origin.batch.weight)[runs] > 0).sum())
     ending = Ending(float(settings.enough), float(settings.crawl), samples, int(settings.most))
-    if np.asarray(at.directions).any():
+    if np.asarray(origin.at.directions).any():
         solved = solve_many(of_runs, robust, free_start[runs], prior, ending)
     else:
         solved = solve_starts(of_some, robust, free_start[runs], width, ending)
@@ -155,7 +167,7 @@ def _solved_by_elimination(
         of_runs(solved.z, solved.starts)
     moves = np.zeros((R, free_start.shape[1]))
     moves[runs] = solved.starts
-    return LeastSquaresResult(_moved(model, at, solved.z, moves), last["point"][2], solved.taken, solved.settled)
+    return LeastSquaresResult(origin.moved(solved.z, moves), last["point"][2], solved.taken, solved.settled)
 
 
 def solve(
@@ -166,17 +178,21 @@ def solve(
     accuracy: Accuracy,
     settings: SolverSettings | None = None,
     prior: tuple[np.ndarray, np.ndarray] | None = None,
+    known: Linearised | None = None,
 ) -> LeastSquaresResult:
     """Minimise chi^2 by Levenberg-Marquardt (Moré 1978) from `at`, over the runs with the indices `runs`.
 
-    **Arguments:** `settings`: stopping rule and loss; `prior`: (mean, 1 / standard deviation) of the steps, each (K,).
+    **Arguments:** `settings`: stopping rule and loss; `prior`: (mean, 1 / standard deviation) of the steps, each (K,);
+    `known`: the linearisation at `at`, where it has been computed.
     """
     directions, at = at.directions, narrowed(at)
     width = at.directions.shape[0]
     prior = (np.zeros(width), np.zeros(width)) if prior is None else (prior[0][:width], prior[1][:width])
     settings = SolverSettings() if settings is None else settings
+    if known is not None:
+        known = known._replace(jacobian=np.delete(known.jacobian, np.s_[width : len(directions)], axis=-1))
     solved_by = _solved_by_elimination if len(runs) > MANY else _solved_by_steps
-    solved = solved_by(model, at, batch, runs, accuracy, settings, prior)
+    solved = solved_by(_Origin(model, at, batch, accuracy, known), runs, settings, prior)
     return solved._replace(
         variables=eqx.tree_at(lambda u: u.directions, solved.variables, directions),
         linearised=widened(solved.linearised, len(directions) - width, width),

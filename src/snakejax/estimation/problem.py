@@ -195,7 +195,8 @@ class Problem(eqx.Module):
             rounds += 1
             round_settings = dataclasses.replace(settings, most=min(most - steps, _ROUND))
             prior = None if initial is None else self._prior(at, free, initial, runs)
-            solved = solve(self.model, at, window, runs, self.accuracy, round_settings, prior)
+            known = initial if rounds == 1 else None
+            solved = solve(self.model, at, window, runs, self.accuracy, round_settings, prior, known)
             steps += solved.steps
             at = eqx.tree_at(lambda u: u.directions, solved.variables, jnp.asarray(moving))
             ended = evaluate(self.model, at, window, runs, self.accuracy) if held else solved.linearised
