@@ -49,14 +49,24 @@ STRANGE = {
 }
 """Effects that no library holds; `plant.py` says what each does."""
 
+SHAPES = {
+    "washboard.k": 9.0,
+    "spin_grip.rate": 4.0,
+    "cable.speed": 0.02,
+    "turning_wind.period": 20.0,
+    "dead_spot.width": 0.3,
+}
+"""Numbers of the strange effects that are the same on all boards, in 1/m, rad/s, m/s, s and rad."""
+
 NAMES = (
     *BOARD,
     *TYRE,
     "free",
     *(f"{effect}.{name}" for effect, names in (EFFECTS | STRANGE).items() for name in names),
+    *SHAPES,
 )
 PLACE = {name: k for k, name in enumerate(NAMES)}
-NEUTRAL = BOARD | TYRE | {"free": 1.0, "bump.width": 0.15}
+NEUTRAL = BOARD | TYRE | SHAPES | {"free": 1.0, "bump.width": 0.15}
 
 
 def vector(values: Mapping[str, float]) -> np.ndarray:

@@ -29,7 +29,9 @@ assert [PLACE[n] for n in ("m", "I", "Jr", "L", "creep", "kp", "kd", "B", "C", "
 (P_SGAIN, P_RGAIN, P_BACKLASH, P_SPLIT, P_COM, P_SIGMA, P_DSH, P_DSV, P_STRIBECK, P_GRADIENT) = range(25, 35)
 (P_MX, P_MY, P_H, P_CLOCK) = range(35, 39)
 (P_WASH, P_SPIN, P_MAGNUS, P_CABLE, P_BUMP, P_BX, P_BY, P_BW, P_SPRING, P_PX, P_PY, P_WIND, P_DEAD) = range(39, 52)
-assert len(PLACE) == 52 and PLACE["clock_offset.T"] == P_CLOCK and PLACE["dead_spot.s"] == P_DEAD
+(P_WASH_K, P_SPIN_RATE, P_CABLE_SPEED, P_PERIOD, P_DEAD_WIDTH) = range(52, 57)
+assert len(PLACE) == 57 and PLACE["clock_offset.T"] == P_CLOCK and PLACE["dead_spot.s"] == P_DEAD
+assert PLACE["dead_spot.width"] == P_DEAD_WIDTH
 
 
 @njit
@@ -46,7 +48,7 @@ def lateral(p, slip, v, x, spin, side):
     peak = p[P_D] * (1.0 + p[P_GRADIENT] * x)
     force = peak * math.sin(p[P_C] * math.atan(p[P_B] * eta)) + p[P_DSV]
     force *= 1.0 + p[P_STRIBECK] * math.exp(-((v / 0.05) ** 2))
-    return force * (1.0 + side * p[P_SPLIT]) * (1.0 + p[P_SPIN] * math.tanh((spin / 4.0) ** 2))
+    return force * (1.0 + side * p[P_SPLIT]) * (1.0 + p[P_SPIN] * math.tanh((spin / p[P_SPIN_RATE]) ** 2))
 
 
 @njit
@@ -58,10 +60,10 @@ def rolling(p, a):
 @njit
 def world_force(p, t, x, y):
     """Force along the axes of the world, in N."""
-    fx = -p[P_M] * GRAVITY * p[P_SX] - p[P_WASH] * math.sin(9.0 * x) + p[P_SPRING] * (p[P_PX] - x)
+    fx = -p[P_M] * GRAVITY * p[P_SX] - p[P_WASH] * math.sin(p[P_WASH_K] * x) + p[P_SPRING] * (p[P_PX] - x)
     fy = -p[P_M] * GRAVITY * p[P_SY] + p[P_SPRING] * (p[P_PY] - y)
     if p[P_WIND] != 0.0:
-        turned = 2.0 * math.pi * t / 20.0
+        turned = 2.0 * math.pi * t / p[P_PERIOD]
         fx += p[P_WIND] * math.cos(turned)
         fy += p[P_WIND] * math.sin(turned)
     if p[P_BUMP] != 0.0:
@@ -80,7 +82,7 @@ def wrench(p, t, x, y, theta, u, w, r):
     speed = math.sqrt(u * u + w * w)
     drag = p[P_DRAG] + p[P_QUADRATIC] * speed
     if p[P_CABLE] != 0.0:
-        drag += p[P_CABLE] * math.sqrt(x * x + y * y) / math.sqrt(speed * speed + 0.02**2)
+        drag += p[P_CABLE] * math.sqrt(x * x + y * y) / math.sqrt(speed * speed + p[P_CABLE_SPEED] ** 2)
     X = c * fx + s * fy - drag * u - p[P_MAGNUS] * r * w
     Y = -s * fx + c * fy - drag * w + p[P_MAGNUS] * r * u
     N = p[P_BIAS] - p[P_DAMPING] * r - p[P_FRICTION] * math.tanh(r / 0.02)
@@ -101,7 +103,7 @@ def rates(t, state, p, phi, psi, out):
     steer, steer_rate, _ = joint(t, phi, p[P_SGAIN], p[P_SLAG], p[P_KP], p[P_KD])
     rotor, spin, push = joint(t, psi, p[P_RGAIN], p[P_RLAG], p[P_KP], p[P_KD])
     if p[P_DEAD] != 0.0:
-        push *= 1.0 - p[P_DEAD] * math.exp(-((rotor / 0.3) ** 2))
+        push *= 1.0 - p[P_DEAD] * math.exp(-((rotor / p[P_DEAD_WIDTH]) ** 2))
     front, front_rate = wheel(steer, steer_rate, p[P_BACKLASH], p[P_OFFSET] + p[P_CRAB])
     back, back_rate = wheel(-steer, -steer_rate, p[P_BACKLASH], p[P_CRAB] - p[P_OFFSET])
     if p[P_FREE] > 0.5:

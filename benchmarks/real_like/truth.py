@@ -1,10 +1,15 @@
-"""What the best that is possible leaves: the true model with its true constants, its values refitted."""
+"""What the best that is possible leaves: the true model with its true constants, its values refitted.
+
+And what is left to one who knows every effect and the form of the strange law, but not more of the vehicle than
+case.toml says: constants and all numbers of a law are estimated too.
+"""
 
 import dataclasses
 import math
 
 import numpy as np
 from hidden import Hidden, Run
+from layout import NEUTRAL, SHAPES
 from scipy.optimize import least_squares
 from strengths import STRANGE_USUAL, USUAL
 
@@ -15,21 +20,44 @@ TYRE_SPREAD = {"B": 4.0, "C": 0.3, "D": 0.5, "E": 0.5}
 """How far a tyre may be from the truth where the runs do not tell: of D as a share of itself, else as it is."""
 
 
+STATED_SPREAD = {"m": 0.03, "L": 0.005, "I": 0.07, "Jr": 0.07}
+"""How far a constant may be from what case.toml says, as a share, where that says no more: as the program takes it."""
+
+SHAPE_SPREAD = {
+    "bump": {"bump.x": 1.0, "bump.y": 1.0, "bump.width": 0.15},
+    "spring": {"spring.x": 1.0, "spring.y": 1.0},
+} | {name.split(".")[0]: {name: value} for name, value in SHAPES.items()}
+"""How far the numbers of a strange law, but for its size, may be from the truth where the runs do not tell: places by
+1 m, others by as much as they are."""
+
+
 class Problem:
-    """The train runs of a board as least squares in tyre, hidden effects (and the strange one's size) and start poses.
+    """The train runs of a board as least squares in tyre, hidden effects (and the strange one's size) and start poses;
+    where these are `informed`, in the constants of the vehicle and all numbers of the strange law as well.
 
     Where the runs tell nothing, the tyre is known as in `TYRE_SPREAD` and an effect to its usual size: without that,
     two effects that do the same would run away together.
     """
 
-    def __init__(self, board: Hidden):
+    def __init__(self, board: Hidden, informed: bool = False):
         """Everything begins at the truth."""
         self.board = board
         usual = USUAL | STRANGE_USUAL
         self.spread = {n: s * (board.values["D"] if n == "D" else 1.0) for n, s in TYRE_SPREAD.items()}
         self.spread |= {n: max(usual[n], abs(board.values[n])) for n in usual if board.values.get(n)}
         self.steps = {n: 0.02 * s if n in TYRE_SPREAD else 0.02 * abs(board.values[n]) for n, s in self.spread.items()}
-        self.truth = np.concatenate([[board.values[n] for n in self.spread], *(run.start for run in board.train)])
+        centre = {n: board.values[n] for n in self.spread}
+        if informed:
+            centre |= {n: board.stated[n] for n in STATED_SPREAD}
+            self.spread |= {n: s * board.stated[n] for n, s in STATED_SPREAD.items()}
+            self.steps |= {n: 0.02 * s * board.stated[n] for n, s in STATED_SPREAD.items()}
+            shape = SHAPE_SPREAD.get(board.strange or "", {})
+            centre |= {n: (NEUTRAL | board.values)[n] for n in shape}
+            self.spread |= shape
+            self.steps |= {n: 0.01 * s for n, s in shape.items()}
+        self.centre = np.array([centre[n] for n in self.spread])
+        numbers = [float((NEUTRAL | board.values)[n]) for n in self.spread]
+        self.truth = np.concatenate([numbers, *(run.start for run in board.train)])
 
     def values(self, unknowns: np.ndarray) -> dict[str, float]:
         """All numbers of the board."""
@@ -57,8 +85,8 @@ class Problem:
         return np.concatenate([*blocks, known])
 
     def errors(self, unknowns: np.ndarray, seen: list[np.ndarray]) -> np.ndarray:
-        """Whitened errors of all train runs, and how far each number is from the truth over what is known of it."""
-        off = (unknowns - self.truth)[: len(self.spread)] / list(self.spread.values())
+        """Whitened errors of all train runs, and how far each number is from what is known of it, over its spread."""
+        off = (unknowns[: len(self.spread)] - self.centre) / list(self.spread.values())
         return np.concatenate([*(self.path(unknowns, k) - pose for k, pose in enumerate(seen)), off])
 
 
@@ -90,21 +118,22 @@ def left_out(run: Run, values: dict, pose: np.ndarray, scale: np.ndarray) -> np.
 def refit(board: Hidden, poses: dict[str, np.ndarray]) -> dict:
     """Errors of the true model on the held-out runs, refitted to the train runs, and the standard error of each value.
 
-    `known`: the same errors without the strange law, which is the best that effects of a library can do.
+    `known`: the same errors without the strange law, which is the best that effects of a library can do; `informed`:
+    the same errors with the constants of the vehicle, and all numbers of the strange law, estimated too.
     """
-    best = refitted(board, poses)
+    best = refitted(board, poses) | {"informed": refitted(board, poses, informed=True)["heldout"]}
     if not board.strange:
         return best | {"known": best["heldout"]}
     plain = dataclasses.replace(board, values={n: v * (n not in STRANGE_USUAL) for n, v in board.values.items()})
     return best | {"known": refitted(plain, poses)["heldout"]}
 
 
-def refitted(board: Hidden, poses: dict[str, np.ndarray]) -> dict:
-    """The model of `board` refitted to the train runs.
+def refitted(board: Hidden, poses: dict[str, np.ndarray], informed: bool = False) -> dict:
+    """The model of `board` refitted to the train runs, see `Problem`.
 
     Held-out errors are roots of mean squares as in the JSON of the program: position_m of both axes together.
     """
-    problem = Problem(board)
+    problem = Problem(board, informed)
     seen = [board.noise.whiten(run.times, poses[run.name]).ravel() for run in board.train]
     slopes = problem.slopes(problem.truth)
 
@@ -116,9 +145,8 @@ def refitted(board: Hidden, poses: dict[str, np.ndarray]) -> dict:
             return np.full(len(slopes), 1e3)
 
     # From the truth it is a short way, along which the slopes hardly change.
-    found = least_squares(
-        errors, problem.truth, lambda _: slopes, x_scale=1 / np.linalg.norm(slopes, axis=0), ftol=1e-5, max_nfev=10
-    )
+    scale, most = 1 / np.linalg.norm(slopes, axis=0), 20 if informed else 10
+    found = least_squares(errors, problem.truth, lambda _: slopes, x_scale=scale, ftol=1e-5, max_nfev=most)
     values = problem.values(found.x)
     left = [left_out(run, values, poses[run.name], board.noise.scale) for run in board.heldout]
     square = np.mean(np.concatenate(left) ** 2, axis=0) if left else None

@@ -174,8 +174,24 @@ def test_twins_share_what_both_explain() -> None:
 
 @pytest.mark.parametrize("misleads", [False, True])
 def test_no_effect_of_a_model_that_misleads_is_sure(misleads: bool) -> None:
-    words = [explaining._word(word, misleads) for word in ("sure", "likely", "ambiguous")]
+    assessment: Any = judged(exact=False, a="sure", b="likely", c="ambiguous")
+    words = [explaining._word(assessment, effect, {"a": 0.5}, misleads) for effect in "abc"]
     assert words == (["stand_in", "stand_in", "ambiguous"] if misleads else ["sure", "likely", "ambiguous"])
+
+
+def judged(exact: bool, **words: str) -> SimpleNamespace:
+    sure = {effect: SimpleNamespace(word=word) for effect, word in words.items()}
+    return SimpleNamespace(confidence=sure, evidence=SimpleNamespace(exact=exact), law_force=None)
+
+
+@pytest.mark.parametrize(
+    ("exact", "share", "word"),
+    [(False, 0.06, "sure"), (False, 0.04, "likely"), (False, -0.1, "likely"), (True, 0.04, "sure")],
+)
+def test_what_takes_little_away_is_not_sure_where_no_model_is_exact(exact: bool, share: float, word: str) -> None:
+    """Something that no candidate describes may be as large."""
+    assessment: Any = judged(exact, a="sure")
+    assert explaining._word(assessment, "a", {"a": share}, misleads=False) == word
 
 
 @pytest.mark.parametrize(

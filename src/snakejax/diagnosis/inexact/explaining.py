@@ -1,7 +1,7 @@
 """Explaining recordings for which no model is exact."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -32,6 +32,10 @@ from .random_force import random_force
 from .revision import search_effects
 from .search import Linear, Search
 from .steps import beside_stated_constants, calibrated
+
+RELEVANT = 0.05
+"""Where no model is exact, an effect that takes away less than this share of the squared error of unseen runs is not
+sure: what no candidate describes may be as large."""
 
 
 def supports(candidate_set: CandidateSet) -> bool:
@@ -149,7 +153,7 @@ def explanation_of(
         () if verdict == "explained" else claimed,
         base.left_out,
         missing,
-        confidence={effect: _word(assessment.confidence[effect].word, misleads) for effect in assessment.effects},
+        confidence={effect: _word(assessment, effect, share, misleads) for effect in assessment.effects},
         share=share,
         explained_share=explained_share,
         floor=noise_floor,
@@ -172,9 +176,14 @@ def leaves_most(explained_share: float, remainder: Remainder, floor: PoseError, 
     return explained_share < 0.5 and rest > own
 
 
-def _word(word: str, misleads: bool) -> str:
-    """How sure an effect is, by the `word` of the train runs, and by held-out runs that the model `misleads`."""
-    return STAND_IN if misleads and word in (SURE, LIKELY) else word
+def _word(assessment: Assessment, effect: str, share: Mapping[str, float], misleads: bool) -> str:
+    """How sure `effect` is: as the train runs say; a stand-in at most where the model `misleads` on held-out runs; and
+    likely at most where no model is exact and it takes away less than `RELEVANT` of the squared error."""
+    word = assessment.confidence[effect].word
+    if misleads and word in (SURE, LIKELY):
+        return STAND_IN
+    exact = assessment.evidence.exact and assessment.law_force is None
+    return LIKELY if word == SURE and not exact and share.get(effect, 0.0) < RELEVANT else word
 
 
 def _is_switched(steps: Sequence[SelectionStep]) -> bool:

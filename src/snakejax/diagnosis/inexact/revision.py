@@ -4,37 +4,86 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from snakejax.core.errors import FitError
 from snakejax.core.progress import Phase, ProgressEvent
 from snakejax.estimation.discrepancy.kalman import Discrepancy, gram_matrices
 from snakejax.estimation.discrepancy.strength import estimate_discrepancy
 
-from .search import ROUGH, Linear, Point, Search, rounds, slopeless
+from .search import ARRIVED, ROUGH, Linear, Point, Search, distance, probed, rounds, slopeless, value_beside
 from .subsets import addition_gains, choose
 
-REVISIONS = 4
+REVISIONS = 10
 """How often a set that was fitted to the end is chosen again, at most."""
 MASKED = 3
 """So many absent effects, the best, are tried in place of a part of the random force."""
 
 
 def search_effects(search: Search) -> Linear:
-    """The set of effects that the recordings need, fitted to the end."""
+    """The set of effects that the recordings need, fitted to the end.
+
+    The rounds in which effects are chosen take whole steps of the linear problem, which may lead astray. Where the fit
+    after them does not converge, or ends less likely than the model without effects at which they began, effects are
+    chosen there, and every step from there on has to raise the likelihood; of both ends the likelier is kept.
+    """
     search.progress(ProgressEvent(Phase.TYRE_BESIDE_FORCE))
-    return revised(search, rounds(search, search.begin()))
+    begun = search.begin()
+    linear = revised(search, rounds(search, begun))
+    first = search.linearise(begun)
+    converged = distance(linear.optimum) < ARRIVED
+    if converged and _penalised(linear) < _deviance(first, first.point.discrepancy, ()):
+        return linear
+    effects = choose(first.subsets.without(slopeless(search, begun)), ())
+    other = revised(search, first.point._replace(effects=tuple(effects)))
+    return min(linear, other, key=_penalised)
 
 
 def revised(search: Search, point: Point) -> Linear:
-    """The effects of `point` fitted to the end, and chosen again there until nothing changes."""
+    """The effects of `point` fitted to the end, and chosen again there until nothing changes.
+
+    At its neutral value an effect without a slope there can never be chosen: at the end each is tried beside it, once.
+    """
+    added: list[str] = []
+    fitted: list[set[str]] = []
     for _ in range(REVISIONS):
         search.progress(ProgressEvent(Phase.FITTING_EFFECTS))
         linear = search.refit(point, point.effects)
+        fitted.append(set(point.effects))
         again = choose(linear.subsets.without(slopeless(search, linear.point)), linear.point.effects)
         if set(again) == set(linear.point.effects):
             again += masked_by_force(search, linear)
-        if set(again) == set(linear.point.effects):
+        if set(again) != set(linear.point.effects):
+            if set(again) in fitted:
+                return linear
+            point = linear.point._replace(effects=tuple(again))
+            continue
+        with_one = with_slopeless_effect(search, linear, added)
+        if with_one is None:
             return linear
-        point = linear.point._replace(effects=tuple(again))
+        point = with_one
+        added.append(point.effects[-1])
     return search.refit(point, point.effects)
+
+
+def with_slopeless_effect(search: Search, linear: Linear, tried: Sequence[str]) -> Point | None:
+    """The point of `linear` with one more effect, of those without a slope at their neutral value that were not
+    `tried`: the one with which -2 log likelihood falls most, the random force estimated again with it, if by its
+    threshold; else None."""
+    effects, point = linear.point.effects, linear.point
+    before, best, most = _deviance(linear, point.discrepancy, effects), None, 0.0
+    for effect in (one for one in slopeless(search, point) if one not in tried):
+        try:
+            beside = probed(search, linear, effect)
+        except FitError:
+            continue
+        own = _estimated(search, beside, [*effects, effect])
+        fall = before - _deviance(beside, own, [*effects, effect])
+        if fall >= beside.subsets.threshold(effect) and fall > most:
+            under = beside._replace(subsets=beside.under(own))
+            values = point.values.copy()
+            values[list(search.model.candidates[effect])] = value_beside(search, under, effects, effect)
+            z = search.segments.with_steady_memories(values, point.z)
+            best, most = Point(values, z, own, (*effects, effect)), fall
+    return best
 
 
 def masked_by_force(search: Search, linear: Linear) -> list[str]:
@@ -64,6 +113,12 @@ def _estimated(search: Search, linear: Linear, effects: Sequence[str]) -> Discre
     """The discrepancy where the parameters of `effects` are free."""
     free, prior = search.model.free(effects), search.prior_at(linear.point.values)
     return estimate_discrepancy(linear.data, linear.point.discrepancy, free, prior, search.scales, ROUGH)[0]
+
+
+def _penalised(linear: Linear) -> float:
+    """-2 log likelihood with the effects of `linear`, and the threshold of each."""
+    effects = linear.point.effects
+    return _deviance(linear, linear.point.discrepancy, effects) + sum(map(linear.subsets.threshold, effects))
 
 
 def _deviance(linear: Linear, discrepancy: Discrepancy, effects: Sequence[str]) -> float:

@@ -320,16 +320,28 @@ def slopeless(search: Search, point: Point) -> list[str]:
     ]
 
 
-def _tested_beside(search: Search, linear: Linear, effects: Sequence[str], effect: str) -> float | None:
-    """The value of an `effect` without a slope at neutral, from a linearisation beside it, where chi^2 falls by more
-    than its threshold against that *at* neutral; else None.
-    """
+def probed(search: Search, linear: Linear, effect: str) -> Linear:
+    """The problem linearised where an `effect` without a slope at neutral has its probe, all else as in `linear`."""
     (column,) = search.model.candidates[effect]
     values = linear.point.values.copy()
     values[column] = search.model.probes[column]
     z = search.segments.with_steady_memories(values, linear.point.z)
-    beside = search.linearise(linear.point._replace(values=values, z=z), most=0)
+    return search.linearise(linear.point._replace(values=values, z=z), most=0)
+
+
+def value_beside(search: Search, beside: Linear, effects: Sequence[str], effect: str) -> float:
+    """The value of `effect` in the `probed` problem `beside`, with the others of `effects`."""
+    (column,) = search.model.candidates[effect]
     optimum = beside.subsets.with_effects([*effects, effect])
-    if not linear.subsets.with_effects(effects).chi2 - optimum.chi2 > beside.subsets.threshold(effect):
+    return max(float(beside.point.values[column] + optimum.step[column]), NEAREST * search.model.probes[column])
+
+
+def _tested_beside(search: Search, linear: Linear, effects: Sequence[str], effect: str) -> float | None:
+    """The value of an `effect` without a slope at neutral, from a linearisation beside it, where chi^2 falls by more
+    than its threshold against that *at* neutral; else None.
+    """
+    beside = probed(search, linear, effect)
+    chi2 = beside.subsets.with_effects([*effects, effect]).chi2
+    if not linear.subsets.with_effects(effects).chi2 - chi2 > beside.subsets.threshold(effect):
         return None
-    return max(float(values[column] + optimum.step[column]), NEAREST * search.model.probes[column])
+    return value_beside(search, beside, effects, effect)

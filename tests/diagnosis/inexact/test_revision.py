@@ -1,0 +1,126 @@
+"""Effects that were chosen are chosen again where they are fitted: on made-up searches, and on a board with play."""
+
+from collections import OrderedDict
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.small_case import small
+
+from snakejax.core.parameter import with_parameters
+from snakejax.diagnosis.inexact import revision
+from snakejax.diagnosis.inexact.candidate_model import candidate_model, movable_parameters
+from snakejax.diagnosis.inexact.search import Point, Search
+from snakejax.dynamics.model import Model
+from snakejax.dynamics.tyres import Pacejka
+from snakejax.effects import SteeringBacklash, TyreRelaxation
+from snakejax.estimation.discrepancy.segments import Segments
+from snakejax.estimation.discrepancy.strength import scales_of
+from snakejax.recording.run import Run
+from snakejax.simulation.integrate import simulate
+
+PLAY = 0.03
+"""The play of the steering of the made-up board [rad]."""
+
+
+def at(*effects: str) -> Any:
+    return SimpleNamespace(effects=effects)
+
+
+def made_up(monkeypatch: pytest.MonkeyPatch, again: dict[tuple[str, ...], list[str]], beside: dict) -> tuple[Any, list]:
+    """A search whose fit of a set of effects proposes the set `again`, and an effect without a slope `beside` it."""
+    fits: list[tuple[str, ...]] = []
+
+    def refit(point, effects):
+        fits.append(tuple(effects))
+        point = SimpleNamespace(effects=tuple(effects), _replace=lambda effects: at(*effects))
+        return SimpleNamespace(point=point, subsets=SimpleNamespace(without=lambda _: None))
+
+    monkeypatch.setattr(revision, "slopeless", lambda *_: [])
+    monkeypatch.setattr(revision, "masked_by_force", lambda *_: [])
+    monkeypatch.setattr(revision, "choose", lambda _, effects: again.get(tuple(effects), list(effects)))
+
+    def with_one(_, linear, tried):
+        effect = beside.get(linear.point.effects)
+        return None if effect is None or effect in tried else at(*linear.point.effects, effect)
+
+    monkeypatch.setattr(revision, "with_slopeless_effect", with_one)
+    return SimpleNamespace(progress=lambda _: None, refit=refit), fits
+
+
+def test_an_effect_without_a_slope_is_tried_at_the_end(monkeypatch) -> None:
+    search, fits = made_up(monkeypatch, {("a",): ["a", "b"], ("a", "b", "play"): ["b", "play"]}, {("a", "b"): "play"})
+    assert revision.revised(search, at("a")).point.effects == ("b", "play")
+    assert fits == [("a",), ("a", "b"), ("a", "b", "play"), ("b", "play")]
+
+
+def test_an_effect_without_a_slope_that_does_not_stay_is_tried_once(monkeypatch) -> None:
+    search, fits = made_up(monkeypatch, {("a", "play"): ["a"]}, {("a",): "play"})
+    assert revision.revised(search, at("a")).point.effects == ("a", "play")
+    assert fits == [("a",), ("a", "play")], "the set without it was fitted, and is not fitted again"
+
+
+def test_sets_that_propose_each_other_are_fitted_once(monkeypatch) -> None:
+    search, fits = made_up(monkeypatch, {("a",): ["b"], ("b",): ["a"]}, {})
+    assert revision.revised(search, at("a")).point.effects == ("b",)
+    assert fits == [("a",), ("b",)]
+
+
+@pytest.mark.parametrize(
+    ("end", "other", "kept"), [(90.0, 50.0, "rounds"), (110.0, 50.0, "chosen"), (110.0, 120.0, "rounds")]
+)
+def test_rounds_that_lead_astray_are_left(monkeypatch, end: float, other: float, kept: str) -> None:
+    """The model without effects at which they began has a -2 log likelihood of 100; a step from there is tried only
+    where they end above it, and the likelier end is kept."""
+    ends = {("rounds",): end, ("chosen",): other}
+    search = SimpleNamespace(
+        progress=lambda _: None,
+        begin=lambda: at(),
+        linearise=lambda point: SimpleNamespace(
+            point=SimpleNamespace(effects=(), discrepancy=None, _replace=lambda effects: at(*effects)),
+            subsets=SimpleNamespace(without=lambda _: None),
+        ),
+    )
+    monkeypatch.setattr(revision, "rounds", lambda *_: at("rounds"))
+    monkeypatch.setattr(revision, "revised", lambda _, point: SimpleNamespace(point=point))
+    monkeypatch.setattr(revision, "choose", lambda *_: ["chosen"])
+    monkeypatch.setattr(revision, "slopeless", lambda *_: [])
+    monkeypatch.setattr(revision, "_penalised", lambda linear: ends[linear.point.effects])
+    monkeypatch.setattr(revision, "_deviance", lambda *_: 100.0)
+    found: Any = revision.search_effects(search)  # type: ignore[arg-type]
+    assert found.point.effects == (kept,)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("play", [0.0, PLAY])
+def test_the_play_of_a_steering_is_found_though_it_has_no_slope(play: float) -> None:
+    """Against simulations: where the board has none, none is found."""
+    case, noise, _ = small()
+    effects = OrderedDict(steering_backlash=SteeringBacklash(), tyre_relaxation=TyreRelaxation())
+    model = Model(case.board, Pacejka(8.0, 1.3, 0.9, 0.2), "free", effects)
+    true = with_parameters(model, {"effects.steering_backlash.b": play})
+    rng = np.random.default_rng(0)
+    runs = []
+    for run in case.runs:
+        pose = np.asarray(simulate(true, run.gait, run.times).pose)
+        runs.append(
+            Run(run.name, "train", run.times, pose + rng.normal(size=pose.shape) * np.asarray(noise.channels), run.gait)
+        )
+    candidates = {
+        "steering_backlash": ("effects.steering_backlash.b",),
+        "tyre_relaxation": ("effects.tyre_relaxation.sigma",),
+    }
+    names = movable_parameters(model, ("tyre.D",), candidates, ())
+    segments = Segments(model, runs, names)
+    scales = scales_of(segments, np.asarray(noise.channels), noise.correlation)
+    search = Search(segments, candidate_model(model, ("tyre.D",), candidates, (), scales, {}), scales)
+    linear = search.refit(search.begin(), ())
+    found = revision.with_slopeless_effect(search, linear, ())
+    if not play:
+        assert found is None
+        return
+    assert isinstance(found, Point) and found.effects == ("steering_backlash",)
+    fitted = search.refit(found, found.effects)
+    k = names.index("effects.steering_backlash.b")
+    assert abs(search.values(fitted)[k] - PLAY) < 4 * fitted.optimum.sd[k]
