@@ -12,9 +12,11 @@ from snakejax.core.parameter import with_parameters
 from snakejax.diagnosis.inexact import revision
 from snakejax.diagnosis.inexact.candidate_model import candidate_model, movable_parameters
 from snakejax.diagnosis.inexact.search import Point, Search
+from snakejax.diagnosis.inexact.subsets import Subsets
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.tyres import Pacejka
 from snakejax.effects import SteeringBacklash, TyreRelaxation
+from snakejax.estimation.discrepancy.least_squares import Prior
 from snakejax.estimation.discrepancy.segments import Segments
 from snakejax.estimation.discrepancy.strength import scales_of
 from snakejax.recording.run import Run
@@ -68,11 +70,17 @@ def test_sets_that_propose_each_other_are_fitted_once(monkeypatch) -> None:
 
 
 @pytest.mark.parametrize(
-    ("end", "other", "kept"), [(90.0, 50.0, "rounds"), (110.0, 50.0, "chosen"), (110.0, 120.0, "rounds")]
+    ("end", "step", "other", "kept"),
+    [
+        (90.0, 0.1, 50.0, "rounds"),
+        (110.0, 0.1, 50.0, "chosen"),
+        (110.0, 0.1, 120.0, "rounds"),
+        (90.0, 9.0, 50.0, "chosen"),
+    ],
 )
-def test_rounds_that_lead_astray_are_left(monkeypatch, end: float, other: float, kept: str) -> None:
-    """The model without effects at which they began has a -2 log likelihood of 100; a step from there is tried only
-    where they end above it, and the likelier end is kept."""
+def test_rounds_that_lead_astray_are_left(monkeypatch, end: float, step: float, other: float, kept: str) -> None:
+    """The model without effects at which they began has a -2 log likelihood of 100. Where they end above it, or with a
+    `step` of so many standard deviations to go, effects are chosen there, and the likelier end is kept."""
     ends = {("rounds",): end, ("chosen",): other}
     search = SimpleNamespace(
         progress=lambda _: None,
@@ -83,13 +91,41 @@ def test_rounds_that_lead_astray_are_left(monkeypatch, end: float, other: float,
         ),
     )
     monkeypatch.setattr(revision, "rounds", lambda *_: at("rounds"))
-    monkeypatch.setattr(revision, "revised", lambda _, point: SimpleNamespace(point=point))
+    monkeypatch.setattr(revision, "revised", lambda _, point: SimpleNamespace(point=point, optimum=None))
+    monkeypatch.setattr(revision, "distance", lambda _: step)
     monkeypatch.setattr(revision, "choose", lambda *_: ["chosen"])
     monkeypatch.setattr(revision, "slopeless", lambda *_: [])
     monkeypatch.setattr(revision, "_penalised", lambda linear: ends[linear.point.effects])
     monkeypatch.setattr(revision, "_deviance", lambda *_: 100.0)
     found: Any = revision.search_effects(search)  # type: ignore[arg-type]
     assert found.point.effects == (kept,)
+
+
+@pytest.mark.parametrize(
+    ("needed", "found"), [({"a"}, ["a"]), ({"a", "b"}, ["a", "b"]), ({"a", "b", "g"}, [])], ids=["one", "two", "none"]
+)
+def test_effects_whose_place_a_random_force_has_taken_are_found_together(monkeypatch, needed, found) -> None:
+    """It is as large as before until all that are `needed` are there; a and b act, and nothing says that g does."""
+    subsets = Subsets(
+        gram=np.diag([3000.0, 1.0, 1.0, 1.0, 1.0]) + LOADED,
+        always=(),
+        candidates=OrderedDict(a=(0,), b=(1,), c=(2,), g=(3,)),
+        prior=Prior(np.zeros(4), np.full(4, 1e-6)),
+        low=np.full(4, -np.inf),
+        high=np.full(4, np.inf),
+    )
+    linear: Any = SimpleNamespace(
+        point=SimpleNamespace(effects=("c",), discrepancy=None), subsets=subsets, under=lambda _: subsets
+    )
+    monkeypatch.setattr(revision, "slopeless", lambda *_: [])
+    monkeypatch.setattr(revision, "_estimated", lambda *_: None)
+    monkeypatch.setattr(revision, "_deviance", lambda _, __, effects: 0.0 if needed <= set(effects) else 1000.0)
+    assert revision.masked_by_force(None, linear) == found  # type: ignore[arg-type]
+
+
+LOADED = np.zeros((5, 5))
+LOADED[0, 1:4] = LOADED[1:4, 0] = 30.0
+"""Of a, b and c, each of which lowers chi^2 by 900."""
 
 
 @pytest.mark.slow

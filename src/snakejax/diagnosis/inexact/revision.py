@@ -10,7 +10,7 @@ from snakejax.estimation.discrepancy.kalman import Discrepancy, gram_matrices
 from snakejax.estimation.discrepancy.strength import estimate_discrepancy
 
 from .search import ARRIVED, ROUGH, Linear, Point, Search, distance, probed, rounds, slopeless, value_beside
-from .subsets import addition_gains, choose
+from .subsets import addition_gains, choose, prune
 
 REVISIONS = 10
 """How often a set that was fitted to the end is chosen again, at most."""
@@ -87,11 +87,13 @@ def with_slopeless_effect(search: Search, linear: Linear, tried: Sequence[str]) 
 
 
 def masked_by_force(search: Search, linear: Linear) -> list[str]:
-    """The absent effect whose place the random force of `linear` has taken; empty where there is none.
+    """The absent effect whose place the random force of `linear` has taken, or the effects together; empty where there
+    are none.
 
     A random force that was estimated without an effect is as large as that effect, and beside it the effect brings
     little. Candidates are ranked under the force that is left where all are free. The force is then estimated again
-    with each of the best, and -2 log likelihood, ln |V| + chi^2, has to fall by the threshold of the effect.
+    with each of the best, and -2 log likelihood, ln |V| + chi^2, has to fall by the threshold of the effect. Of several
+    effects none may bring it down alone: those that are left of all under the least force are tried together.
     """
     effects, point = list(linear.point.effects), linear.point
     absent = linear.subsets.without(slopeless(search, point))
@@ -106,7 +108,12 @@ def masked_by_force(search: Search, linear: Linear) -> list[str]:
         own = _estimated(search, linear, [*effects, effect])
         if before - _deviance(linear, own, [*effects, effect]) >= problem.threshold(effect):
             return [effect]
-    return []
+    together = [effect for effect in prune(problem, problem.candidates) if effect not in effects]
+    if len(together) < 2:
+        return []
+    own = _estimated(search, linear, [*effects, *together])
+    fall = before - _deviance(linear, own, [*effects, *together])
+    return together if fall >= sum(map(problem.threshold, together)) else []
 
 
 def _estimated(search: Search, linear: Linear, effects: Sequence[str]) -> Discrepancy:
