@@ -66,6 +66,7 @@ def score(found: dict[str, Any], key: dict[str, Any], truth: dict[str, Any] | No
         "holds": holds(final, key),
         "ratio": ratio(final, key, truth and truth["heldout"]),
         "known_ratio": ratio(final, key, truth and truth.get("known")),
+        "informed_ratio": ratio(final, key, truth and truth.get("informed")),
         "helpers": [name for name in final.get("effects") or {} if name not in claimed],
         "seconds": found["seconds"]["total"],
     }

@@ -10,7 +10,9 @@ none are named. What counts as true, sure and first: judge.py.
 The held-out error is compared with that of the true model, which has all hidden effects and the true constants: its
 tyre, effects and start poses are refitted by this folder's own plant to the train runs and, as in the program, the
 start poses alone to the held-out runs. Beside it stands the same without the law that no library holds, which is the
-best that effects of a library can do. Effects above their detectable size are those with 3.92 standard errors there.
+best that effects of a library can do; and the same with the constants and all numbers of that law estimated too, which
+is what the train runs tell one who knows all effects and the form of the law. Effects above their detectable size are
+those with 3.92 standard errors there.
 
 Needs the extra `bench`: numba integrates the plant.
 """

@@ -71,9 +71,9 @@ def test_interval_held_out_ratio_and_what_is_detectable():
     estimate["yaw_friction"]["t"]["interval"] = [0.007, 0.009]
     assert score(result(["yaw_friction"], effects=estimate), KEY, TRUTH)["holds"] == {"t": True}
     assert row["ratio"] == pytest.approx(2.0) and row["known_ratio"] is None
-    known = {"known": {"position_m": 1e-3, "heading_rad": 1e-3}}
+    known = {"known": {"position_m": 1e-3, "heading_rad": 1e-3}, "informed": {"position_m": 5e-4, "heading_rad": 0.0}}
     row |= score(result(["yaw_friction"], effects=estimate, rmse=rmse), KEY, TRUTH | known)
-    assert row["known_ratio"] == pytest.approx(np.sqrt(8 / 5))
+    assert row["known_ratio"] == pytest.approx(np.sqrt(8 / 5)) and row["informed_ratio"] > row["ratio"]
     assert row["detectable"] == row["detected"] == ["yaw_friction"]
     assert pytest.approx(norm.ppf(1 - 0.05 / 48) + norm.ppf(0.8), abs=5e-3) == DETECTABLE
     gain = {"effects": {"rotor_gain": {"g": 0.1}}}, {"sd": {"rotor_gain.g": 1e-4}}
