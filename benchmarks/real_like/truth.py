@@ -144,9 +144,11 @@ def refitted(board: Hidden, poses: dict[str, np.ndarray], informed: bool = False
         except ArithmeticError:
             return np.full(len(slopes), 1e3)
 
-    # From the truth it is a short way, along which the slopes hardly change.
-    scale, most = 1 / np.linalg.norm(slopes, axis=0), 20 if informed else 10
-    found = least_squares(errors, problem.truth, lambda _: slopes, x_scale=scale, ftol=1e-5, max_nfev=most)
+    scale = 1 / np.linalg.norm(slopes, axis=0)
+    if informed:  # The place of a law and the constants move far along what the runs do not tell.
+        found = least_squares(errors, problem.truth, problem.slopes, x_scale=scale, ftol=1e-7, max_nfev=20)
+    else:  # From the truth it is a short way, along which the slopes hardly change.
+        found = least_squares(errors, problem.truth, lambda _: slopes, x_scale=scale, ftol=1e-5, max_nfev=10)
     values = problem.values(found.x)
     left = [left_out(run, values, poses[run.name], board.noise.scale) for run in board.heldout]
     square = np.mean(np.concatenate(left) ** 2, axis=0) if left else None
