@@ -465,8 +465,11 @@ def test_the_law_that_made_the_force_comes_first(name: str) -> None:
     assert first.expression == expression
     units = {part.name: part.unit for part in first.parameters}
     assert units == {part: unit for part, (_, unit) in values.items()}
+    found = dict(first.values)
+    if found.get("a", 0.0) < 0 and "q" in found:  # -a at q + pi is the same law.
+        found |= {"a": -found["a"], "q": (found["q"] - np.pi) % (2 * np.pi)}
     for part, (value, _) in values.items():
-        assert first.values[part] == pytest.approx(value, rel=0.05)
+        assert found[part] == pytest.approx(value, rel=0.05)
     assert first.left_out < 1.05 and first.share > 0.95
 
 
