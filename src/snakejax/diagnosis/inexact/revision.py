@@ -102,18 +102,18 @@ def masked_by_force(search: Search, linear: Linear) -> list[str]:
     gained = addition_gains(problem, effects)
     ranked = sorted(gained, key=lambda effect: (problem.p_value(effect, gained[effect]), -gained[effect]))
     before = _deviance(linear, point.discrepancy, effects)
+
+    def are_masked(added: list[str]) -> bool:
+        own = _estimated(search, linear, [*effects, *added])
+        return before - _deviance(linear, own, [*effects, *added]) >= sum(map(problem.threshold, added))
+
     for effect in ranked[:MASKED]:
         if not gained[effect] >= problem.threshold(effect):
             break
-        own = _estimated(search, linear, [*effects, effect])
-        if before - _deviance(linear, own, [*effects, effect]) >= problem.threshold(effect):
+        if are_masked([effect]):
             return [effect]
     together = [effect for effect in prune(problem, problem.candidates) if effect not in effects]
-    if len(together) < 2:
-        return []
-    own = _estimated(search, linear, [*effects, *together])
-    fall = before - _deviance(linear, own, [*effects, *together])
-    return together if fall >= sum(map(problem.threshold, together)) else []
+    return together if len(together) > 1 and are_masked(together) else []
 
 
 def _estimated(search: Search, linear: Linear, effects: Sequence[str]) -> Discrepancy:
