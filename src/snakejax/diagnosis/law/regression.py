@@ -135,3 +135,18 @@ def pruned(windows: ForceWindows, trial: Trial, given: Sequence[np.ndarray]) -> 
             break
         trial = refined(windows, best, given)
     return trial
+
+
+def with_positive_amplitude(windows: ForceWindows, trial: Trial) -> Trial:
+    """`trial`, whose first amplitude is not negative where one of its angles turns its sign: a sin(k x + q) is
+    -a sin(k x + q + pi)."""
+    if not trial.amplitudes.size or trial.amplitudes[0] >= 0:
+        return trial
+    for k, part in enumerate(trial.family.shape):
+        if part.unit == {"rad": 1}:
+            turned = trial.shape.copy()
+            turned[k] = (turned[k] + np.pi) % (2 * np.pi)
+            now, opposite = windows.histories(trial.family, named(trial.family, np.stack([trial.shape, turned])))
+            if np.allclose(now, -opposite, rtol=0, atol=1e-9 * np.abs(now).max()):
+                return trial._replace(shape=turned, amplitudes=-trial.amplitudes)
+    return trial

@@ -14,7 +14,17 @@ from snakejax.dynamics.law import LawParameter
 from snakejax.estimation.goodness_of_fit import largest_noise_misfit
 
 from .grammar import families
-from .regression import FEWEST_CHI2, PENALTIES, Trial, form_at, named, on_grids, pruned, refined
+from .regression import (
+    FEWEST_CHI2,
+    PENALTIES,
+    Trial,
+    form_at,
+    named,
+    on_grids,
+    pruned,
+    refined,
+    with_positive_amplitude,
+)
 from .smooth_forms import smooth_floors, smooth_of_one, smooth_of_two
 from .terms import BACK, BODY_ACTION, FRONT, Family
 from .units import unit_text
@@ -149,7 +159,7 @@ def _best_trials(windows: ForceWindows, forms: Sequence[Family], given: Sequence
     """The `REFINED` best fits of `forms`, refined and without needless terms."""
     trials = sorted(on_grids(windows, forms, given), key=lambda trial: trial.left_out)
     best = in_threads(lambda trial: pruned(windows, refined(windows, trial, given), given), trials[:REFINED])
-    return [trial for trial in best if not _is_of_one_side(trial.family)]
+    return [with_positive_amplitude(windows, trial) for trial in best if not _is_of_one_side(trial.family)]
 
 
 def _is_of_one_side(family: Family) -> bool:
