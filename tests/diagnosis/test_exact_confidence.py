@@ -7,6 +7,7 @@ import pytest
 
 from snakejax.diagnosis import exact_explanation
 from snakejax.diagnosis.exact_explanation import confidence_where_exact
+from snakejax.diagnosis.odd_runs import OddRun
 
 
 @pytest.mark.parametrize(
@@ -41,7 +42,7 @@ def test_what_leads_held_out_runs_astray_explains_only_train_runs(before, after,
     for name in ("bands_of", "odd_runs_beside"):
         monkeypatch.setattr(exact_explanation, name, lambda *given: ())
     monkeypatch.setattr(exact_explanation, "shares_of", lambda steps: ({}, 1.0))
-    monkeypatch.setattr(exact_explanation, "confidence_where_exact", lambda steps, effect: "sure")
+    monkeypatch.setattr(exact_explanation, "confidence_where_exact", lambda *given: "sure")
 
     def step(misfit: float | None, *effects: str) -> SimpleNamespace:
         heldout = None if misfit is None else SimpleNamespace(misfit=misfit, samples=10_000)
@@ -52,3 +53,21 @@ def test_what_leads_held_out_runs_astray_explains_only_train_runs(before, after,
     assert found.verdict == verdict
     assert (found.partial if verdict == "unexplained" else found.effects) == ("law_1",)
     assert exact_explanation.exact_explanation(*cast(Any, (None, None, last, steps[:1]))).verdict == "adequate"
+
+
+def test_an_effect_instead_of_which_a_run_may_be_odd_is_not_sure_and_the_run_is_named(monkeypatch) -> None:
+    monkeypatch.setattr(exact_explanation, "indistinguishable", lambda steps, effect: ())
+    monkeypatch.setattr(exact_explanation, "shares_of", lambda steps: ({}, 1.0))
+    monkeypatch.setattr(exact_explanation, "bands_of", lambda *given: ())
+    beside = OddRun("two", "tyre.D", 1.0, 0.1, 1e-4)
+    monkeypatch.setattr(exact_explanation, "odd_runs_beside", lambda *given: (beside,))
+    instead = OddRun("four", "tyre.B", 1.0, 0.2, 1e-3, effect="ground_slope")
+
+    def step(*effects: str) -> SimpleNamespace:
+        model = SimpleNamespace(effects={}, board=SimpleNamespace(stated_sd={}))
+        return SimpleNamespace(name="", heldout=None, effects=effects, left_out=(), fitted=None, model=model)
+
+    steps, last = (step(), step("com_offset", "ground_slope")), SimpleNamespace(candidate_set=None, step=None)
+    found = exact_explanation.exact_explanation(*cast(Any, (None, None, last, steps)), instead=(instead,))
+    assert found.confidence == {"com_offset": "sure", "ground_slope": "stand_in"}
+    assert found.odd_runs == (beside, instead)

@@ -1,8 +1,6 @@
-"""Checks of a model that leaves only noise: the bands of each run, and runs that differ from the others."""
+"""Checks of a model that leaves only noise: the bands of each run, and whether constants explain as well."""
 
-import itertools
-from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -13,12 +11,7 @@ from snakejax.estimation.goodness_of_fit import consistent_with_noise
 from snakejax.estimation.problem import Problem
 
 from .explanation import RunBand, run_bands
-from .odd_runs import OddRun, odd_runs, run_grams, run_that_alone_shows
 from .selection.candidates import CandidateFit, CandidateSet
-from .selection.score_test import projected
-from .selection.screening import window_sensitivities
-from .selection.steps import SelectionStep
-from .selection.working_step import WorkingStep, selection_step
 
 STATED_WELL = 3.5
 """A constant is not off by more than so many standard deviations of what is known of it: one in two thousand."""
@@ -34,91 +27,6 @@ def bands_of(fitted: FittedModel) -> tuple[RunBand, ...]:
     sd = np.asarray(fitted.noise.channels)
     residuals = [residual * sd for residual in fitted.residuals]
     return run_bands(fitted.recordings, residuals, [np.broadcast_to(sd, residual.shape) for residual in residuals])
-
-
-class _RunByRun(NamedTuple):
-    """The Gram matrices of each train run at a fit, the columns of all parameters, and those of the fitted ones."""
-
-    gram: np.ndarray
-    columns: dict[str, int]
-    fitted: list[int]
-
-    @staticmethod
-    def of(candidate_set: CandidateSet, step: CandidateFit) -> "_RunByRun | None":
-        """By the sensitivities of whole runs; None where they are not told apart."""
-        solution, names = step.solution, candidate_set.problem.names
-        rest = projected(window_sensitivities(candidate_set, solution.values, solution.start, windows=False))
-        if rest.run is None:
-            return None
-        columns = {name: k for k, name in enumerate(names)}
-        fitted = [columns[name] for name in candidate_set.free(step.effects) if name not in solution.held]
-        return _RunByRun(run_grams(rest.residual, -rest.columns, rest.run), columns, fitted)
-
-
-def odd_runs_beside(candidate_set: CandidateSet, step: CandidateFit) -> tuple[OddRun, ...]:
-    """The train runs to which the fit `step` does not apply, by the sensitivities of whole runs."""
-    values, problem = step.solution.values, candidate_set.problem
-    linear = _RunByRun.of(candidate_set, step)
-    if linear is None:
-        return ()
-    runs = [problem.runs[k].name for k in candidate_set.train]
-    known = parameters(problem.model)
-    shifts = odd_runs(linear.gram, runs, linear.columns, linear.fitted)
-    return tuple(shift.in_units(known[shift.parameter].domain, float(values[shift.parameter])) for shift in shifts)
-
-
-def one_run_alone_shows(candidate_set: CandidateSet, step: CandidateFit, effect: str) -> bool:
-    """Whether the `effect` of the fit `step` is in one run alone, and the others exclude it."""
-    known, neutral = parameters(candidate_set.problem.model), candidate_set.problem.values()
-    parts = [name for name in candidate_set.candidates.get(effect, ()) if name not in step.solution.held]
-    if not parts or any(known[name].domain.multiplicative for name in parts):
-        return False
-    linear = _RunByRun.of(candidate_set, step)
-    if linear is None:
-        return False
-    value = np.array([step.solution.values[name] - neutral[name] for name in parts])
-    some = [linear.columns[name] for name in parts]
-    return run_that_alone_shows(linear.gram, linear.fitted, some, value) is not None
-
-
-def odd_run_rather_than_effect(
-    steps: Sequence[WorkingStep], show: Callable[[SelectionStep], None]
-) -> list[WorkingStep]:
-    """`steps`, and after them one for each effect that is dropped because one run alone is the better explanation.
-
-    Where a model leaves only noise before an effect is added, the effect is an answer to little, and a single run may
-    be a better one: where a parameter with a value of its own in that run lowers chi^2 by `distinct_chi2` more than the
-    effect does in all runs, or where that run alone shows the effect. The effects added after it are dropped too: they
-    were chosen beside an effect that stood for the run.
-    """
-    for number, (before, after) in enumerate(itertools.pairwise(steps), 1):
-        added = all(step.record.change == "added" for step in steps[number:])
-        if added and consistent_with_noise(before.step.solution) and _one_run_is_better(before, after):
-            return _without_last(steps, number, show)
-    return list(steps)
-
-
-def _one_run_is_better(before: WorkingStep, after: WorkingStep) -> bool:
-    """Whether one run alone explains better what the effect added in the step `after` explains."""
-    candidate_set, solution = before.candidate_set, before.step.solution
-    odd = odd_runs_beside(candidate_set, before.step)
-    if not odd:
-        return False
-    fall = solution.samples * (solution.misfit - after.step.solution.misfit)
-    better = max(one.fall for one in odd) > fall + candidate_set.criteria.distinct_chi2
-    return better or one_run_alone_shows(after.candidate_set, after.step, after.record.name)
-
-
-def _without_last(
-    steps: Sequence[WorkingStep], number: int, show: Callable[[SelectionStep], None]
-) -> list[WorkingStep]:
-    """`steps`, and the effects added by those from `number` on dropped one by one, the last first."""
-    judged = list(steps)
-    for before, after in zip(reversed(steps[number - 1 : -1]), reversed(steps[number:]), strict=True):
-        name = after.record.name
-        judged.append(selection_step(before.candidate_set, "dropped", name, before.step, before.ranking))
-        show(judged[-1].record)
-    return judged
 
 
 def constants_explain(candidate_set: CandidateSet, step: CandidateFit, stated: Mapping[str, float]) -> bool:

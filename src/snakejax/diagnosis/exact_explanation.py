@@ -6,11 +6,13 @@ from itertools import pairwise
 from snakejax.estimation.goodness_of_fit import consistent_with_noise
 from snakejax.recording.run import Case, Noise
 
-from .exact_checks import STATED_WELL, bands_of, odd_runs_beside
+from .effect_or_odd_run import odd_runs_beside
+from .exact_checks import STATED_WELL, bands_of
 from .explanation import Explanation
 from .inexact.confidence import AMBIGUOUS, STAND_IN, SURE
 from .inexact.explaining import shares_of
 from .latent_force.missing_force import LatentForce
+from .odd_runs import OddRun
 from .selection.acceptance import heldout_consistent
 from .selection.steps import SelectionStep, indistinguishable, raises_heldout_error
 from .selection.working_step import WorkingStep
@@ -29,8 +31,10 @@ def exact_explanation(
     last: WorkingStep,
     steps: tuple[SelectionStep, ...],
     law: LatentForce | None = None,
+    instead: Sequence[OddRun] = (),
 ) -> Explanation:
-    """The explanation by the `last` step, which leaves only noise; `law`: the force in which a law of it was found.
+    """The explanation by the `last` step, which leaves only noise; `law`: the force in which a law of it was found;
+    `instead`: the runs that may be odd instead of an effect.
 
     Train runs may not determine its values well enough for the held-out runs. Where these are further off with it than
     without, it explains only the train runs.
@@ -48,21 +52,28 @@ def exact_explanation(
         final.effects if misleads else (),
         steps[0].left_out,
         None,
-        confidence={effect: confidence_where_exact(steps, effect) for effect in final.effects},
+        confidence={effect: confidence_where_exact(steps, effect, instead) for effect in final.effects},
         share=share,
         explained_share=explained_share,
         bands=bands_of(final.fitted),
-        odd_runs=odd_runs_beside(last.candidate_set, last.step),
+        odd_runs=_with_instead(odd_runs_beside(last.candidate_set, last.step), instead),
         law=law,
     )
 
 
-def confidence_where_exact(steps: Sequence[SelectionStep], effect: str) -> str:
-    """How sure an effect is where it leaves only noise: the model is exact, so only a twin or a constant is as good.
-    One with which held-out runs are further off may stand in for something else."""
+def _with_instead(odd: Sequence[OddRun], instead: Sequence[OddRun]) -> tuple[OddRun, ...]:
+    """The runs that are `odd` beside all effects, and those that may be odd `instead` of one; each once."""
+    return tuple({one.run: one for one in (*odd, *instead)}.values())
+
+
+def confidence_where_exact(steps: Sequence[SelectionStep], effect: str, instead: Sequence[OddRun] = ()) -> str:
+    """How sure an effect is where it leaves only noise: the model is exact, so only a twin, a constant, or one run that
+    differs `instead` is as good. One with which held-out runs are further off may stand in for something else."""
     if indistinguishable(steps, effect):
         return AMBIGUOUS
     if any(after.name == effect and raises_heldout_error(before, after) for before, after in pairwise(steps)):
+        return STAND_IN
+    if any(odd.effect == effect for odd in instead):
         return STAND_IN
     final = steps[-1]
     port = final.model.effects.get(effect)

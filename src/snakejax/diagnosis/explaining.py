@@ -26,7 +26,8 @@ from snakejax.recording.run import Case, Noise
 
 from .all_effects_at_once import choose_effects_at_once, explain_inexact
 from .diagnosing import BaseDiagnosis, DiagnosisOptions, diagnose_base, start_of
-from .exact_checks import compile_later_programs, constants_explain, odd_run_rather_than_effect
+from .effect_or_odd_run import AgainstOddRuns, against_odd_runs
+from .exact_checks import compile_later_programs, constants_explain
 from .exact_explanation import exact_explanation, leaves_only_noise
 from .explaining_by_law import by_exact_law_beside, conclude_with_law, latent_force_of, with_laws
 from .explanation import Explanation
@@ -96,9 +97,9 @@ def explain(
         law_was_sought = False
     for working_step in working_steps if logged else ():
         show(working_step.record)
-    working_steps = odd_run_rather_than_effect(working_steps, show)
-    explanation = _conclude(case, noise, diagnosis, working_steps, law_was_sought, progress)
-    return _with_clock_errors(explanation, working_steps[-1], progress)
+    judged = against_odd_runs(working_steps, show)
+    explanation = _conclude(case, noise, diagnosis, judged, law_was_sought, progress)
+    return _with_clock_errors(explanation, judged.steps[-1], progress)
 
 
 def _explanation_or_steps(
@@ -278,18 +279,19 @@ def _conclude(
     case: Case,
     noise: Noise,
     diagnosis: BaseDiagnosis,
-    working_steps: Sequence[WorkingStep],
+    judged: AgainstOddRuns,
     law_was_sought: bool,
     progress: Progress,
 ) -> Explanation:
-    """The verdict on the last of the steps, and what is missing where it leaves more than noise.
+    """The verdict on the last of the `judged` steps, and what is missing where it leaves more than noise.
 
     `law_was_sought`: no law explains beside the known effects that lower the misfit most.
     """
+    working_steps: Sequence[WorkingStep] = judged.steps
     last, steps = working_steps[-1], tuple(step.record for step in working_steps)
     final, left_out = steps[-1], steps[0].left_out
     if leaves_only_noise(last):
-        return exact_explanation(case, noise, last, steps)
+        return exact_explanation(case, noise, last, steps, instead=judged.instead)
     missing = None
     if len(last.candidate_set.train) > 1:
         missing = latent_force_of(diagnosis, last, progress)

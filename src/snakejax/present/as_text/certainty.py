@@ -25,7 +25,9 @@ def confidence_sentences(explanation: Explanation, effect: str) -> Iterator[str]
     others = listed(tuple(twins), "or") if twins else unnamed
     sure = SURE_OF_WINDOWS if explanation.of_windows else SURE_WHERE_EXACT if explanation.floor is None else ""
     unknown = percent(explanation.base.criteria.largest_random_force)
-    yield (sure if word == "sure" else "") or CONFIDENCE[word].format(others=others, unknown=unknown)
+    cause = next((f"that run {odd.run} differs" for odd in explanation.odd_runs if odd.effect == effect), "")
+    cause = cause or "a wrong constant"
+    yield (sure if word == "sure" else "") or CONFIDENCE[word].format(others=others, unknown=unknown, cause=cause)
     share = explanation.share.get(effect)
     if share is not None:
         runs = "train runs" if explanation.final.heldout is None else "held-out runs"
@@ -98,7 +100,7 @@ def force_left(misfit: float) -> str:
 CONFIDENCE = {
     "sure": "Sure: it would be significant even if {unknown} of the forces had another cause.",
     "likely": "Likely: it is significant, and omitted runs are predicted better with it.",
-    "stand_in": "Stand-in: it lowers the error, but another cause is possible, such as a wrong constant.",
+    "stand_in": "Stand-in: it lowers the error, but another cause is possible, such as {cause}.",
     "ambiguous": "Ambiguous: {others} would explain the runs nearly as well.",
 }
 """What the words of `confidence` mean."""
@@ -196,7 +198,8 @@ def odd_run_sentences(explanation: Explanation) -> Iterator[str]:
         value = f"{number(odd.shift, odd.sd)} +- {number(odd.sd, odd.sd)}"
         unit = unit_text(known[odd.parameter].domain.unit) if odd.parameter in known else ""
         alike = f" Another value of {listed(odd.alike, 'or')} explains it nearly as well." if odd.alike else ""
+        either = f", or {odd.effect} acts in all runs, which explains as much" if odd.effect else ""
         yield (
-            f"Run {odd.run} differs from the others: the model fits it better with {odd.parameter} changed by"
+            f"Run {odd.run} differs from the others{either}: the model fits it better with {odd.parameter} changed by"
             f" {value}{unit} in this run alone (p = {odd.p_value:.1g}).{alike} Check this run, or leave it out."
         )
