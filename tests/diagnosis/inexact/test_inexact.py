@@ -302,6 +302,7 @@ def test_a_step_that_leads_astray_is_taken_along_a_simulation_or_damped(
 
     class Linearised(SimpleNamespace):
         optimum = property(lambda self: Optimum(0.0, -self.point.values, np.eye(1), (0,)))
+        has_converged = Linear.has_converged
 
         def damped_step(self, damping: float) -> np.ndarray:
             dampings.append(damping)

@@ -70,17 +70,17 @@ def test_sets_that_propose_each_other_are_fitted_once(monkeypatch) -> None:
 
 
 @pytest.mark.parametrize(
-    ("end", "step", "other", "kept"),
+    ("end", "converged", "other", "kept"),
     [
-        (90.0, 0.1, 50.0, "rounds"),
-        (110.0, 0.1, 50.0, "chosen"),
-        (110.0, 0.1, 120.0, "rounds"),
-        (90.0, 9.0, 50.0, "chosen"),
+        (90.0, True, 50.0, "rounds"),
+        (110.0, True, 50.0, "chosen"),
+        (110.0, True, 120.0, "rounds"),
+        (90.0, False, 50.0, "chosen"),
     ],
 )
-def test_rounds_that_lead_astray_are_left(monkeypatch, end: float, step: float, other: float, kept: str) -> None:
-    """The model without effects at which they began has a -2 log likelihood of 100. Where they end above it, or with a
-    `step` of so many standard deviations to go, effects are chosen there, and the likelier end is kept."""
+def test_rounds_that_lead_astray_are_left(monkeypatch, end: float, converged: bool, other: float, kept: str) -> None:
+    """The model without effects at which they began has a -2 log likelihood of 100. Where they end above it, or have not
+    `converged`, effects are chosen there, and the likelier end is kept."""
     ends = {("rounds",): end, ("chosen",): other}
     search = SimpleNamespace(
         progress=lambda _: None,
@@ -91,8 +91,7 @@ def test_rounds_that_lead_astray_are_left(monkeypatch, end: float, step: float, 
         ),
     )
     monkeypatch.setattr(revision, "rounds", lambda *_: at("rounds"))
-    monkeypatch.setattr(revision, "revised", lambda _, point: SimpleNamespace(point=point, optimum=None))
-    monkeypatch.setattr(revision, "distance", lambda _: step)
+    monkeypatch.setattr(revision, "revised", lambda _, point: SimpleNamespace(point=point, has_converged=converged))
     monkeypatch.setattr(revision, "choose", lambda *_: ["chosen"])
     monkeypatch.setattr(revision, "slopeless", lambda *_: [])
     monkeypatch.setattr(revision, "_penalised", lambda linear: ends[linear.point.effects])

@@ -20,7 +20,7 @@ from .confidence import Confidence, confidence
 from .evidence import ModelEvidence, model_evidence
 from .left_out import LeftOut, left_out
 from .prediction import PredictiveCheck, bands, left_out_bands, likelier_segments, predictive_check, simulated_segments
-from .search import ARRIVED, Linear, Search, distance
+from .search import Linear, Search
 from .subsets import Subsets
 
 
@@ -72,7 +72,7 @@ class Assessment(NamedTuple):
     @property
     def converged(self) -> bool:
         """Whether the fit with all effects has converged."""
-        return distance(self.linear.optimum) < ARRIVED
+        return self.linear.has_converged
 
     def estimates(self, effects: tuple[str, ...], values: np.ndarray) -> dict[str, Estimate]:
         """The estimates of the parameters free in a model with `effects`, by name, at their `values`."""

@@ -9,7 +9,7 @@ from snakejax.core.progress import Phase, ProgressEvent
 from snakejax.estimation.discrepancy.kalman import Discrepancy, gram_matrices
 from snakejax.estimation.discrepancy.strength import estimate_discrepancy
 
-from .search import ARRIVED, ROUGH, Linear, Point, Search, distance, probed, rounds, slopeless, value_beside
+from .search import ROUGH, Linear, Point, Search, probed, rounds, slopeless, value_beside
 from .subsets import addition_gains, choose, prune
 
 REVISIONS = 10
@@ -26,13 +26,11 @@ def search_effects(search: Search) -> Linear:
     chosen there, and every step from there on has to raise the likelihood; of both ends the likelier is kept.
     """
     search.progress(ProgressEvent(Phase.TYRE_BESIDE_FORCE))
-    begun = search.begin()
-    linear = revised(search, rounds(search, begun))
-    first = search.linearise(begun)
-    converged = distance(linear.optimum) < ARRIVED
-    if converged and _penalised(linear) < _deviance(first, first.point.discrepancy, ()):
+    first = search.linearise(search.begin())
+    linear = revised(search, rounds(search, first))
+    if linear.has_converged and _penalised(linear) < _deviance(first, first.point.discrepancy, ()):
         return linear
-    effects = choose(first.subsets.without(slopeless(search, begun)), ())
+    effects = choose(first.subsets.without(slopeless(search, first.point)), ())
     other = revised(search, first.point._replace(effects=tuple(effects)))
     return min(linear, other, key=_penalised)
 

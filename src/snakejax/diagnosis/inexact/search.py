@@ -42,7 +42,7 @@ LEAST_FALL = 1 / 3
 """The damping falls to this share after a step that did what the linear problem promised: in a valley that bends the
 next step would be too long without any."""
 ARRIVED = 0.3
-"""A fit has converged where its step is shorter than this many standard deviations (Mahalanobis distance)."""
+"""A fit has converged where its step is shorter than this many standard deviations."""
 TYRE_STEP = 0.5
 """Longest step of a tyre parameter in one round, in standard deviations of its prior; of others 1."""
 FURTHEST_CONSTANT = 5.0
@@ -76,6 +76,11 @@ class Linear(NamedTuple):
     def optimum(self) -> Optimum:
         """The optimum with the effects of the point."""
         return self.subsets.with_effects(self.point.effects)
+
+    @property
+    def has_converged(self) -> bool:
+        """Whether the step to the optimum is short."""
+        return self.optimum.distance < ARRIVED
 
     def damped_step(self, damping: float) -> np.ndarray:
         """The step (P,) to the optimum with `damping` (Levenberg and Marquardt): each parameter is pulled to where it
@@ -228,7 +233,7 @@ class Search(NamedTuple):
         linear = self.linearise(point, most=FINE)
         damping, simulated, is_new = 0.0, False, True
         for _ in range(REFIT_ROUNDS):
-            if distance(linear.optimum) < ARRIVED:
+            if linear.has_converged:
                 break
             trial = self.stepped(linear, linear.damped_step(damping), effects)
             if simulated:
@@ -275,27 +280,21 @@ class Search(NamedTuple):
         return point._replace(z=self.segments.rolled_out(point.values, point.z))
 
 
-def distance(best: Optimum) -> float:
-    """The length of a step in standard deviations: sqrt(d^T covariance^-1 d)."""
-    step = best.step[list(best.free)]
-    return float(np.sqrt(max(step @ np.linalg.solve(best.covariance, step), 0.0)))
+def rounds(search: Search, first: Linear) -> Point:
+    """The rounds in which effects are chosen anew, from the problem `first` on."""
+    return kept(("rounds", search.parts, first.point), lambda: _chosen(search, first))
 
 
-def rounds(search: Search, point: Point) -> Point:
-    """The rounds in which effects are chosen anew."""
-    return kept(("rounds", search.parts, point), lambda: _chosen(search, point))
-
-
-def _chosen(search: Search, point: Point) -> Point:
-    model = search.model
+def _chosen(search: Search, first: Linear) -> Point:
+    model, point = search.model, first.point
     for k in range(SEARCH_ROUNDS):
         search.progress(ProgressEvent(Phase.CHOOSING_EFFECTS, done=k + 1, total=SEARCH_ROUNDS))
         every = np.arange(len(model.names)) if k == 1 else None
         unfit = slopeless(search, point)
-        linear = search.linearise(point, every)
+        linear = search.linearise(point, every) if k else first
         effects = best_subset(linear.subsets.without(unfit), point.effects, all_at_once=k > 0)
         best = linear.subsets.with_effects(effects)
-        arrived = set(effects) == set(point.effects) and distance(best) < ARRIVED
+        arrived = set(effects) == set(point.effects) and linear.has_converged
         step, chosen = best.step, list(effects)
         for effect in unfit if 1 <= k < SEARCH_ROUNDS - 1 else ():
             value = _tested_beside(search, linear, chosen, effect)

@@ -33,6 +33,12 @@ class Optimum(NamedTuple):
         sd[list(self.free)] = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         return sd
 
+    @property
+    def distance(self) -> float:
+        """The length of the step in standard deviations: sqrt(d^T covariance^-1 d) (Mahalanobis distance)."""
+        step = self.step[list(self.free)]
+        return float(np.sqrt(max(step @ np.linalg.solve(self.covariance, step), 0.0)))
+
 
 def scaled_inverse(normal: np.ndarray) -> np.ndarray:
     """The inverse of a positive definite matrix, scaled to a unit diagonal for its digits."""
