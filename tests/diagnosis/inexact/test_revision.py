@@ -79,8 +79,8 @@ def test_sets_that_propose_each_other_are_fitted_once(monkeypatch) -> None:
     ],
 )
 def test_rounds_that_lead_astray_are_left(monkeypatch, end: float, converged: bool, other: float, kept: str) -> None:
-    """The model without effects at which they began has a -2 log likelihood of 100. Where they end above it, or have not
-    `converged`, effects are chosen there, and the likelier end is kept."""
+    """The model without effects at which they began has a -2 log likelihood of 100. Where they end above it, or did not
+    end `converged`, effects are chosen there, and the likelier end is kept."""
     ends = {("rounds",): end, ("chosen",): other}
     search = SimpleNamespace(
         progress=lambda _: None,
