@@ -13,6 +13,7 @@ from snakejax.diagnosis.inexact import revision
 from snakejax.diagnosis.inexact.candidate_model import candidate_model, movable_parameters
 from snakejax.diagnosis.inexact.search import Point, Search
 from snakejax.diagnosis.inexact.subsets import Subsets
+from snakejax.diagnosis.selection.criteria import CRITERIA
 from snakejax.dynamics.model import Model
 from snakejax.dynamics.tyres import Pacejka
 from snakejax.effects import SteeringBacklash, TyreRelaxation
@@ -48,6 +49,7 @@ def made_up(monkeypatch: pytest.MonkeyPatch, again: dict[tuple[str, ...], list[s
         return None if effect is None or effect in tried else at(*linear.point.effects, effect)
 
     monkeypatch.setattr(revision, "with_slopeless_effect", with_one)
+    monkeypatch.setattr(revision, "from_further_values", lambda *_: None)
     return SimpleNamespace(progress=lambda _: None, refit=refit), fits
 
 
@@ -125,6 +127,38 @@ def test_effects_whose_place_a_random_force_has_taken_are_found_together(monkeyp
 LOADED = np.zeros((5, 5))
 LOADED[0, 1:4] = LOADED[1:4, 0] = 30.0
 """Of a, b and c, each of which lowers chi^2 by 900."""
+
+
+@pytest.mark.parametrize(("value", "found"), [(0.0029, 0.0042), (0.0042, None)])
+def test_a_second_optimum_further_away_is_found(monkeypatch, value: float, found: float | None) -> None:
+    """A tyre that relaxes over 4.2 mm; every fit from below 3 mm ends at 2.9 mm. The slope of the floor has a derivative
+    at zero, and is not tried."""
+
+    def refit(point: Point, effects: tuple[str, ...]) -> Any:
+        ends = 0.0042 if point.values[0] > 0.003 else 0.0029
+        return SimpleNamespace(point=point._replace(values=np.array([ends, point.values[1]])))
+
+    segments = SimpleNamespace(with_steady_memories=lambda values, z, effect: z)
+    model = SimpleNamespace(candidates={"tyre_relaxation": (0,), "ground_slope": (1,)}, probes={0: 0.002})
+    search: Any = SimpleNamespace(segments=segments, model=model, criteria=CRITERIA, refit=refit)
+    likelier = {0.0029: -336_321.0, 0.0042: -338_789.0}
+    monkeypatch.setattr(revision, "_penalised", lambda linear: likelier[linear.point.values[0]])
+    point = Point(np.array([value, 0.003]), np.zeros(1), None, ("tyre_relaxation", "ground_slope"))  # type: ignore[arg-type]
+    linear: Any = revision.from_further_values(search, SimpleNamespace(point=point))  # type: ignore[arg-type]
+    assert (None if linear is None else tuple(linear.point.values)) == (None if found is None else (found, 0.003))
+
+
+def test_the_memories_of_a_tyre_stay_while_another_effect_is_tried() -> None:
+    """Set to those of a steady slip, they are 16 000 in chi^2 off at a fine noise."""
+    case, _, _ = small()
+    effects = OrderedDict(steering_backlash=SteeringBacklash(), tyre_relaxation=TyreRelaxation())
+    model = Model(case.board, Pacejka(8.0, 1.3, 0.9, 0.2), "free", effects)
+    segments = Segments(model, case.having("train"), ["effects.steering_backlash.b", "effects.tyre_relaxation.sigma"])
+    values, z = np.array([0.01, 0.02]), segments.guess()
+    assert np.array_equal(segments.with_steady_memories(values, z, "steering_backlash"), z)
+    steady = segments.with_steady_memories(values, z)
+    assert np.array_equal(segments.with_steady_memories(values, z, "tyre_relaxation"), steady)
+    assert not np.allclose(steady, z)
 
 
 @pytest.mark.slow

@@ -302,8 +302,8 @@ def _chosen(search: Search, first: Linear) -> Point:
                 effects = [*effects, effect]
                 step[model.candidates[effect][0]] = value
         point = search.stepped(linear, step, effects)
-        if any(effect in unfit for effect in effects):
-            point = point._replace(z=search.segments.with_steady_memories(point.values, point.z))
+        for effect in set(effects).intersection(unfit):
+            point = point._replace(z=search.segments.with_steady_memories(point.values, point.z, effect))
         if arrived and k >= 2:
             break
     return point
@@ -324,7 +324,7 @@ def probed(search: Search, linear: Linear, effect: str) -> Linear:
     (column,) = search.model.candidates[effect]
     values = linear.point.values.copy()
     values[column] = search.model.probes[column]
-    z = search.segments.with_steady_memories(values, linear.point.z)
+    z = search.segments.with_steady_memories(values, linear.point.z, effect)
     return search.linearise(linear.point._replace(values=values, z=z), most=0)
 
 

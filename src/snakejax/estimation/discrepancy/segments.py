@@ -26,7 +26,7 @@ from snakejax.core.errors import FitError
 from snakejax.core.parallel import in_threads
 from snakejax.core.parameter import parameters, with_parameters
 from snakejax.dynamics.model import Model
-from snakejax.dynamics.ports import Effect
+from snakejax.dynamics.ports import Effect, TyreState
 from snakejax.recording.run import Run
 
 from ..batch import lengthened, stacked_gaits
@@ -141,14 +141,17 @@ class Segments:
         safe_old, safe_new = (np.where(self.multiplicative, np.maximum(v, 1e-300), 1.0) for v in (old, new))
         return np.where(self.multiplicative, np.log(safe_new / safe_old), new - old)
 
-    def with_steady_memories(self, values: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """`z` with the memories of the effects where a steady slip has them: at zero a tyre would lose its force."""
-        if z.shape[1] == BODY + FORCE:
+    def with_steady_memories(self, values: np.ndarray, z: np.ndarray, effect: str = "") -> np.ndarray:
+        """`z` with the memories of all effects, or of `effect` alone, where a steady slip has them: at zero a tyre has
+        no force."""
+        owners = [not effect or one is self.model.effects[effect] for one in self.model.effects_of(TyreState)]
+        if not any(owners):
             return z
+        own = np.repeat(owners, self.model.memories // len(owners))
         z = z.copy()
         model = with_parameters(self.model, dict(zip(self.names, map(jnp.asarray, values), strict=True)))
         steady = steady_memories(model, jax.tree.map(jnp.asarray, self.inputs), jnp.asarray(z[:, :BODY]))
-        z[:, BODY:-FORCE] = np.where(self.cut.rest[:, None], 0.0, np.asarray(steady))
+        z[:, BODY:-FORCE][:, own] = np.where(self.cut.rest[:, None], 0.0, np.asarray(steady))[:, own]
         return z
 
     def rolled_out(self, values: np.ndarray, z: np.ndarray) -> np.ndarray:
