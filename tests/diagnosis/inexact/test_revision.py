@@ -131,8 +131,8 @@ LOADED[0, 1:4] = LOADED[1:4, 0] = 30.0
 
 @pytest.mark.parametrize(("value", "found"), [(0.0029, 0.0042), (0.0042, None)])
 def test_a_second_optimum_further_away_is_found(monkeypatch, value: float, found: float | None) -> None:
-    """A tyre that relaxes over 4.2 mm; every fit from below 3 mm ends at 2.9 mm. The slope of the floor has a derivative
-    at zero, and is not tried."""
+    """A tyre that relaxes over 4.2 mm; every fit from below 3 mm ends at 2.9 mm. The slope of the floor has a
+    derivative at zero, and is not tried."""
 
     def refit(point: Point, effects: tuple[str, ...]) -> Any:
         ends = 0.0042 if point.values[0] > 0.003 else 0.0029
