@@ -18,7 +18,7 @@ strong effect has 0.8 to 1.25 of its usual size and moves the paths by at least 
 weak one 5 to 12 % of it and 0.3 to 9 of these, the strange one at most 9: what the boards l to o have (strong ones 27
 to 280). The true model must tell the strong one by ten standard errors, with all that is hidden free beside it: weak
 ones that do the same are drawn again. The odd run is off by 5 standard errors in its peak, bump or marker: of the shift
-of this run alone beside a tyre that is fitted to all runs.
+of this run alone beside a tyre and a strong effect that are fitted to all runs.
 """
 
 import dataclasses
@@ -41,9 +41,9 @@ KINDS = {
     "wrong_mass": 6,
     "wrong_length": 6,
     "wandering": 6,
-    "odd_tyre": 4,
-    "odd_bump": 4,
-    "odd_marker": 4,
+    "odd_tyre": 12,
+    "odd_bump": 12,
+    "odd_marker": 12,
     "scale": 10,
     "exact": 6,
 }

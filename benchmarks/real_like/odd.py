@@ -43,11 +43,13 @@ def bump_beside(run: Run, values: dict) -> dict:
 def standard_error(board: Hidden, odd: Run, fixed: dict, name: str) -> float:
     """One standard error of a shift of the number `name` in the run `odd` alone.
 
-    The tyre of all train runs and the start pose of each are fitted beside it; `fixed` is what else the odd run has.
+    The tyre of all train runs, the strong effect and the start pose of each are fitted beside it; `fixed` is what else
+    the odd run has.
     """
+    numbers = [*TYRE, *(number for number in board.values if board.strong and number.startswith(f"{board.strong}."))]
     normal = 0.0
     for run in board.train:
-        common = [slope(run, board.values, number) for number in TYRE]
+        common = [slope(run, board.values, number) for number in numbers]
         own = slope(run, board.values | fixed, name) if run is odd else np.zeros_like(common[0])
         starts = []
         for shift in np.diag([1e-5, 1e-5, 1e-5]):
