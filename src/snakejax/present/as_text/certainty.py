@@ -25,8 +25,8 @@ def confidence_sentences(explanation: Explanation, effect: str) -> Iterator[str]
     others = listed(tuple(twins), "or") if twins else unnamed
     sure = SURE_OF_WINDOWS if explanation.of_windows else SURE_WHERE_EXACT if explanation.floor is None else ""
     unknown = percent(explanation.base.criteria.largest_random_force)
-    cause = next((f"that run {odd.run} differs" for odd in explanation.odd_runs if odd.effect == effect), "")
-    cause = cause or "a wrong constant"
+    runs_instead = (f"that run {odd.run} differs" for odd in explanation.odd_runs if odd.effect == effect)
+    cause = next(runs_instead, "a wrong constant")
     yield (sure if word == "sure" else "") or CONFIDENCE[word].format(others=others, unknown=unknown, cause=cause)
     share = explanation.share.get(effect)
     if share is not None:
