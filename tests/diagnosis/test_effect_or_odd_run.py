@@ -40,14 +40,14 @@ def changes(monkeypatch: pytest.MonkeyPatch):
         lambda _, change, name, fit, ranking: step(change, name, fit.solution.misfit),
     )
 
-    def of(*steps: Any) -> tuple[list[str], list[str | None]]:
+    def of(*steps: Any) -> tuple[list[str], list[str]]:
         shown: list[str] = []
         judged = against_odd_runs(steps, lambda record: shown.append(record.name))
         assert judged.steps[: len(steps)] == list(steps)
         dropped = judged.steps[len(steps) :]
         names = [one.record.name for one in dropped]
         assert {one.record.change for one in dropped} <= {"dropped"} and shown == names
-        return names, [odd.effect for odd in judged.instead]
+        return names, [effect for odd in judged.instead for effect in odd.effects]
 
     return of
 

@@ -61,7 +61,7 @@ def test_an_effect_instead_of_which_a_run_may_be_odd_is_not_sure_and_the_run_is_
     monkeypatch.setattr(exact_explanation, "bands_of", lambda *given: ())
     beside = OddRun("two", "tyre.D", 1.0, 0.1, 1e-4)
     monkeypatch.setattr(exact_explanation, "odd_runs_beside", lambda *given: (beside,))
-    instead = OddRun("four", "tyre.B", 1.0, 0.2, 1e-3, effect="ground_slope")
+    instead = OddRun("four", "tyre.B", 1.0, 0.2, 1e-3, effects=("ground_slope",))
 
     def step(*effects: str) -> SimpleNamespace:
         model = SimpleNamespace(effects={}, board=SimpleNamespace(stated_sd={}))
@@ -71,3 +71,7 @@ def test_an_effect_instead_of_which_a_run_may_be_odd_is_not_sure_and_the_run_is_
     found = exact_explanation.exact_explanation(*cast(Any, (None, None, last, steps)), instead=(instead,))
     assert found.confidence == {"com_offset": "sure", "ground_slope": "stand_in"}
     assert found.odd_runs == (beside, instead)
+    both = (instead, instead._replace(effects=("com_offset",)))
+    found = exact_explanation.exact_explanation(*cast(Any, (None, None, last, steps)), instead=both)
+    assert found.confidence == {"com_offset": "stand_in", "ground_slope": "stand_in"}
+    assert [odd.effects for odd in found.odd_runs] == [(), ("ground_slope", "com_offset")]

@@ -90,7 +90,7 @@ def against_odd_runs(steps: Sequence[WorkingStep], show: Callable[[SelectionStep
         oddest, solution = max(odd, key=lambda one: one.fall), before.step.solution
         lead = oddest.fall - solution.samples * (solution.misfit - after.step.solution.misfit)
         if abs(lead) < before.candidate_set.criteria.distinct_chi2:
-            instead.append(oddest._replace(effect=effect))
+            instead.append(oddest._replace(effects=(effect,)))
         runs = len(before.candidate_set.train)
         if lead > 2 * np.log(runs) or one_run_alone_shows(after.candidate_set, after.step, effect):
             return AgainstOddRuns(_without_last(steps, number, show), tuple(instead))

@@ -62,8 +62,13 @@ def exact_explanation(
 
 
 def _with_instead(odd: Sequence[OddRun], instead: Sequence[OddRun]) -> tuple[OddRun, ...]:
-    """The runs that are `odd` beside all effects, and those that may be odd `instead` of one; each once."""
-    return tuple({one.run: one for one in (*odd, *instead)}.values())
+    """The runs that are `odd` beside all effects, and those that may be odd `instead` of effects; each once, with all
+    of these."""
+    by_run: dict[str, OddRun] = {}
+    for one in (*odd, *instead):
+        before = by_run.get(one.run)
+        by_run[one.run] = one._replace(effects=(*before.effects, *one.effects)) if before else one
+    return tuple(by_run.values())
 
 
 def confidence_where_exact(steps: Sequence[SelectionStep], effect: str, instead: Sequence[OddRun] = ()) -> str:
@@ -73,7 +78,7 @@ def confidence_where_exact(steps: Sequence[SelectionStep], effect: str, instead:
         return AMBIGUOUS
     if any(after.name == effect and raises_heldout_error(before, after) for before, after in pairwise(steps)):
         return STAND_IN
-    if any(odd.effect == effect for odd in instead):
+    if any(effect in odd.effects for odd in instead):
         return STAND_IN
     final = steps[-1]
     port = final.model.effects.get(effect)

@@ -35,7 +35,7 @@ class OddRun(NamedTuple):
 
     `parameter` would explain the run with a value of its own, `shift` away from that of all runs, with its standard
     error `sd`; so would those in `alike`, nearly as well. `p_value`: of so large a statistic in any run and parameter.
-    `effect`: one that explains as much if it acts in all runs, or None.
+    `effects`: those of which each explains as much if it acts in all runs.
     """
 
     run: str
@@ -44,7 +44,7 @@ class OddRun(NamedTuple):
     sd: float
     p_value: float
     alike: tuple[str, ...] = ()
-    effect: str | None = None
+    effects: tuple[str, ...] = ()
 
     @property
     def fall(self) -> float:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from helpers.folders import ROOT
 from helpers.made_up_explanation import result, story
@@ -16,7 +17,8 @@ from jsonschema import Draft202012Validator
 
 from snakejax.commands.cli import main
 from snakejax.commands.cli.main import parser
-from snakejax.diagnosis.explanation import PoseError, Remainder, TriedCandidate
+from snakejax.diagnosis.explanation import PoseError, Remainder, RunBand, TriedCandidate
+from snakejax.diagnosis.odd_runs import OddRun
 from snakejax.estimation.uncertainty import Estimate
 from snakejax.present.as_json.schema import schema_of
 
@@ -114,6 +116,8 @@ CERTAIN = {
     "remainder": Remainder(1e-3, 4e-3, (("speed", 0.4),), ("east = b * x", "east = b * y")),
     "constants": {"board.mass": Estimate(7.0, 0.05, "kg", True)},
     "candidates": (TriedCandidate(1, "ground_slope", 0.9, 1e-9, 1.2, True, "it explains most"),),
+    "bands": (RunBand("one", "train", 0.94, *np.zeros((3, 2))),),
+    "odd_runs": (OddRun("one", "tyre.D", 0.5, 0.1, 1e-4, ("tyre.B",), ("ground_slope",)),),
 }
 
 

@@ -65,7 +65,8 @@ def revised(search: Search, point: Point) -> Linear:
         further = from_further_values(search, linear)
         if further is None:
             return linear
-        point = further.point
+        # From the likelier optimum a set that was fitted before may end elsewhere.
+        point, fitted = further.point, []
     return search.refit(point, point.effects)
 
 

@@ -25,7 +25,7 @@ def confidence_sentences(explanation: Explanation, effect: str) -> Iterator[str]
     others = listed(tuple(twins), "or") if twins else unnamed
     sure = SURE_OF_WINDOWS if explanation.of_windows else SURE_WHERE_EXACT if explanation.floor is None else ""
     unknown = percent(explanation.base.criteria.largest_random_force)
-    runs_instead = (f"that run {odd.run} differs" for odd in explanation.odd_runs if odd.effect == effect)
+    runs_instead = (f"that run {odd.run} differs" for odd in explanation.odd_runs if effect in odd.effects)
     cause = next(runs_instead, "a wrong constant")
     yield (sure if word == "sure" else "") or CONFIDENCE[word].format(others=others, unknown=unknown, cause=cause)
     share = explanation.share.get(effect)
@@ -198,7 +198,7 @@ def odd_run_sentences(explanation: Explanation) -> Iterator[str]:
         value = f"{number(odd.shift, odd.sd)} +- {number(odd.sd, odd.sd)}"
         unit = unit_text(known[odd.parameter].domain.unit) if odd.parameter in known else ""
         alike = f" Another value of {listed(odd.alike, 'or')} explains it nearly as well." if odd.alike else ""
-        either = f", or {odd.effect} acts in all runs, which explains as much" if odd.effect else ""
+        either = "".join(f", or {effect} acts in all runs, which explains as much" for effect in odd.effects)
         yield (
             f"Run {odd.run} differs from the others{either}: the model fits it better with {odd.parameter} changed by"
             f" {value}{unit} in this run alone (p = {odd.p_value:.1g}).{alike} Check this run, or leave it out."
