@@ -38,17 +38,22 @@ def exact_law(
 ) -> AddedLaws | None:
     """The likeliest law of `missing` with which whole train runs leave only noise, added to `like`; None without one.
 
-    Only laws are fitted that leave only noise in the windows of runs left out.
+    Only laws are fitted that leave only noise in the windows of runs left out. After one that leaves nothing the others
+    are fitted once each, and only as long as they may be likelier.
     """
     if missing.windows is None:
         return None
     exact_laws: list[AddedLaws] = []
+
+    def fitted(law: ProposedLaw) -> AddedLaws | None:
+        goal = misfit_to_reach(law, exact_laws, like.step.solution.samples)
+        return _fitted(case, noise, like, missing, law, goal, progress)
+
     for law in _leaving_only_noise_of(missing.windows, missing.laws)[:TRIED]:
         if is_needless(law, exact_laws):
             continue
-        trial = _fitted_from_widths(
-            missing.windows, law, lambda one: _fitted(case, noise, like, missing, one, progress)
-        )
+        once = any(one.leaves_nothing for one in exact_laws)
+        trial = fitted(law) if once else _fitted_from_widths(missing.windows, law, fitted)
         if trial is not None and explains_train_runs(like, trial.candidate_set, trial.fit):
             exact_laws.append(trial)
     return likeliest(exact_laws) if exact_laws else None
@@ -67,7 +72,8 @@ def exact_smooth_law(
     formulas = min((law.score for law in missing.laws if not law.family.together), default=np.inf)
     better = [law for law in smooth_laws(missing.windows) if law.score < formulas]
     laws = _leaving_only_noise_of(missing.windows, better)
-    trials = smooth_trials(missing.windows, laws, lambda law: _fitted(case, noise, like, missing, law, progress))
+    goal = largest_noise_misfit(like.step.solution.samples)
+    trials = smooth_trials(missing.windows, laws, lambda law: _fitted(case, noise, like, missing, law, goal, progress))
     explains = bool(trials) and explains_train_runs(like, trials[-1].candidate_set, trials[-1].fit)
     return trials[-1] if explains else None
 
@@ -99,13 +105,30 @@ def _leaving_only_noise_of(windows: ForceWindows, laws: Sequence[ProposedLaw]) -
     return [law for law in laws if law.left_out <= largest_noise_misfit(windows.samples)]
 
 
+def misfit_to_reach(law: ProposedLaw, fitted: Sequence[AddedLaws], samples: int) -> float:
+    """The misfit above which a `law` is of no use: that of noise, or that with which it is no likelier than the
+    `likeliest` of those `fitted`."""
+    noise = largest_noise_misfit(samples)
+    if not fitted:
+        return noise
+    best = likeliest(fitted)
+    return min(noise, (best.chi2 + FEWEST_CHI2 * (best.size - len(law.parameters))) / samples)
+
+
 def _fitted(
-    case: Case, noise: Noise, like: WorkingStep, missing: LatentForce, law: ProposedLaw, progress: Progress
+    case: Case,
+    noise: Noise,
+    like: WorkingStep,
+    missing: LatentForce,
+    law: ProposedLaw,
+    goal: float,
+    progress: Progress,
 ) -> AddedLaws | None:
-    """The model of `like` with a `law`, and the misfits of its own train runs; None where it cannot be fitted."""
+    """The model of `like` with a `law`, and the misfits of its own train runs; None where it cannot be fitted. `goal`:
+    the misfit above which the fit is of no use."""
     progress(ProgressEvent(Phase.LAW_FIT, f"fitting {law.expression} to whole runs"))
     try:
-        effects, goal = like.step.effects, largest_noise_misfit(like.step.solution.samples)
+        effects = like.step.effects
         candidate_set, fit = fitted_laws(case, noise, like.candidate_set, effects, missing, (law,), goal)
     except FitError:
         return None
