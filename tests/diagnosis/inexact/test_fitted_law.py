@@ -57,7 +57,7 @@ def fitted(linear: Linear, deviance: float, mean_square: float, whole: bool = Fa
     search: Any = SimpleNamespace(model=SimpleNamespace(names=names), criteria=CRITERIA)
     none: Any = None
     blocks = np.full(RUNS, deviance / RUNS)
-    return FittedLaw("law_1", proposal(whole), none, search, linear, blocks, mean_square * np.ones(RUNS))
+    return FittedLaw("law_1", proposal(whole), none, search, linear, blocks, np.log(mean_square) * np.ones(RUNS))
 
 
 def test_a_term_that_is_left_out_has_no_amplitude(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -57,7 +57,7 @@ def fitted_law(
     none: Any = None
     name = one.law.expression
     linear: Any = SimpleNamespace(point=SimpleNamespace(effects=(*effects, name)))
-    return FittedLaw(name, one, none, none, linear, deviance, mean_square)
+    return FittedLaw(name, one, none, none, linear, deviance, np.log(mean_square))
 
 
 def chooser(
@@ -153,7 +153,8 @@ def test_after_a_law_that_leaves_only_noise_no_other_is_fitted(exact, kept, monk
         ([4.0, 4.0, 4.0], "y", True, ()),
         ([2.0, 9.9, 7.0], "y", True, ()),
         ([4.0, 4.0, 21.0], "y", False, ("first", "second")),  # one run would be predicted much worse
-        ([4.0, 4.0, 25.0], "x", False, ()),  # all runs together would be
+        ([4.0, 4.0, 25.0], "x", True, ()),  # one run does not decide
+        ([4.0, 4.0, 70.0], "x", False, ()),  # unless it is that much worse
         ([9.0, 9.7, 11.0], "y", False, ("first", "second")),  # hardly any better
         ([9.0, 9.7, 11.0], "x", True, ()),  # no other variable does as well
     ],

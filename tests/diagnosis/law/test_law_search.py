@@ -146,6 +146,8 @@ _BEGINS = "rolling_speed / sqrt(rolling_speed ** 2 + e ** 2)"
 _SPEED = "sqrt(u ** 2 + w ** 2 + 2.5e-05)"
 _DISTANCE = "sqrt((x - 0.2) ** 2 + (y + 0.3) ** 2)"
 _CORE = "((x - 0.2) ** 2 + (y - 0.1) ** 2 + 0.5 ** 2)"
+_MOUND = "exp(-((x - x0) ** 2 + (y - y0) ** 2) / s ** 2)"
+_SMALL = "exp(-((x - 0.13) ** 2 + (y - 0.21) ** 2) / 0.06 ** 2)"
 _TURNS = "(rotor_rate + r) ** 2"
 _LINE = _beyond("x", "y", "2.0", "0.2")
 _DOWN, _LETTERS = (("east", "0.1"), ("north", "-0.2")), (("east", "a"), ("north", "b"))
@@ -453,6 +455,13 @@ CASES = {
     "friction that grows": (
         law_of(*((side, f"-0.05 * {v} / {_SPEED} * time") for side, v in (("X", "u"), ("Y", "w")))),
         (f"X = -b * u / {_SPEED} * time; Y = -b * w / {_SPEED} * time", {"b": (0.05, "N/s")}),
+    ),
+    "a hill that is much smaller than the floor": (
+        law_of(("east", f"6.0 * (x - 0.13) * {_SMALL}"), ("north", f"6.0 * (y - 0.21) * {_SMALL}")),
+        (
+            f"east = a * (x - x0) * {_MOUND}; north = a * (y - y0) * {_MOUND}",
+            {"a": (6.0, "N/m"), "x0": (0.13, "m"), "y0": (0.21, "m"), "s": (0.06, "m")},
+        ),
     ),
 }
 

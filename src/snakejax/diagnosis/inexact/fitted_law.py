@@ -51,8 +51,8 @@ class FittedLaw(NamedTuple):
     """The law `name` of a `proposal` in the model at `linear`, whose candidates `candidate_set` and `search` hold.
 
     `deviance` (N,): -2 log density of train runs left out, block by block, under the noise and the random force beside
-    the law; `mean_square` (R,): the error of whole runs left out; `rivals`: other laws, of another action or of other
-    variables, that do as well: other motions would tell.
+    the law; `log_error` (R,): ln of the mean square error of whole runs left out; `rivals`: other laws, of another
+    action or of other variables, that do as well: other motions would tell.
     """
 
     name: str
@@ -61,7 +61,7 @@ class FittedLaw(NamedTuple):
     search: Search
     linear: Linear
     deviance: np.ndarray
-    mean_square: np.ndarray
+    log_error: np.ndarray
     rivals: tuple[ProposedLaw, ...] = ()
 
     @property
@@ -86,7 +86,8 @@ def fit_law(
 
 def _judged(name: str, proposal: Proposal, own_set: CandidateSet, own: Search, linear: Linear) -> FittedLaw:
     without, effects = left_out(own, linear), linear.point.effects
-    return FittedLaw(name, proposal, own_set, own, linear, without.deviance(effects), without.mean_square(effects))
+    error = np.log(without.mean_square(effects))
+    return FittedLaw(name, proposal, own_set, own, linear, without.deviance(effects), error)
 
 
 def without_idle_terms(
@@ -113,7 +114,7 @@ def without_idle_terms(
         except FitError:
             break
         shorter = _judged(fitted.name, proposal, own_set, own, linear)
-        worse = Gain(shorter.mean_square - fitted.mean_square, 0.0)
+        worse = Gain(shorter.log_error - fitted.log_error, 0.0)
         if not shorter.deviance.sum() < most or worse.exceeds_standard_error:
             break
         fitted = shorter

@@ -65,21 +65,22 @@ def choose_law(
     them better than `linear` does, each under its own random force, by more than the standard error; or where there is
     but one run; nor where it takes the place of a known effect and these runs cannot distinguish the two. A law that
     raises the error of whole runs left out is not kept: beside a random force it may follow each run better, and lead a
-    simulation astray. Where laws of other variables do as well, it is not known which is right, and a wrong one may do
-    harm in other motions: there it must lower that error by more than the standard error. A law that cannot explain
-    (`may_explain`) is not fitted, and after one that leaves only noise no other is.
+    simulation astray. That error is compared by its logarithm, so that no single run decides: one that alone shows
+    where a bump is cannot be predicted without it. Where laws of other variables do as well, it is not known which is
+    right, and a wrong one may do harm in other motions: there it must lower that error by more than the standard error.
+    A law that cannot explain (`may_explain`) is not fitted, and after one that leaves only noise no other is.
     """
     if len(linear.gram) < 2:
         return LawChoice()
     search.progress(ProgressEvent(Phase.LAW_SEARCH))
     ordered = proposals(search, linear)
     before, effects = left_out(search, linear), linear.point.effects
-    whole = before.mean_square(effects)
+    whole = np.log(before.mean_square(effects))
     fitted: list[FittedLaw] = []
     for one in (one for one in near(ordered, search.criteria.distinct_chi2) if may_explain(search, linear, one)):
         search.progress(ProgressEvent(Phase.LAW_FIT, f"fitting {one.law.expression} together with a random force"))
         with_one = fit_law(case, noise, candidate_set, search, base, one)
-        if with_one is not None and with_one.mean_square.sum() < whole.sum():
+        if with_one is not None and with_one.log_error.sum() < whole.sum():
             fitted.append(with_one)
             if with_one.exact:
                 break
@@ -94,7 +95,7 @@ def choose_law(
         return LawChoice()
     subject = best.proposal.subject
     rivals = tuple(one.proposal.law for one in as_good if one.proposal.subject != subject)
-    if rivals and not Gain(whole - best.mean_square, 0.0).exceeds_standard_error:
+    if rivals and not Gain(whole - best.log_error, 0.0).exceeds_standard_error:
         return LawChoice(undecided=tuple(law.expression for law in (best.proposal.law, *rivals)))
     best = without_idle_terms(case, noise, candidate_set, search, base, best)
     return LawChoice(best._replace(rivals=rivals))
@@ -105,7 +106,7 @@ def preferred(fitted: Sequence[FittedLaw]) -> FittedLaw:
     runs left out by more than the standard error."""
     first, *others = sorted(fitted, key=lambda one: (len(one.proposal.law.parameters), one.deviance.sum()))
     for other in others:
-        if Gain(first.mean_square - other.mean_square, 0.0).exceeds_standard_error:
+        if Gain(first.log_error - other.log_error, 0.0).exceeds_standard_error:
             first = other
     return first
 

@@ -74,13 +74,15 @@ ALONG = ACTIONS[0].name
 """The action of a force along the body."""
 AGAINST_MOTION = ("drag", "friction")
 """The actions against the velocity of the body."""
+NOWHERE = np.zeros((0, 2))
+"""No places."""
 OF_GRIP = ("grip", LOAD.name, FRONT.name, BACK.name)
 """Those actions that are a change of the grip."""
 
 
-def families(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]:
+def families(ranges: dict[str, Range], wheel: Sequence[str], places: np.ndarray = NOWHERE) -> Iterator[Family]:
     """All forms of law of the variables in `ranges`; those named in `wheel` belong to a wheel, on which only `OF_WHEEL`
-    depend."""
+    depend. Near the `places` (M, 2) small spots are looked for."""
     pushes = [name for name in ranges if name.endswith(PUSH_SUFFIX)]
     ranges = {name: interval for name, interval in ranges.items() if name not in pushes}
     single = [name for name in ranges if not is_sum(name)]
@@ -109,7 +111,7 @@ def families(ranges: dict[str, Range], wheel: Sequence[str]) -> Iterator[Family]
             # One of its parts alone is a form of one variable.
             yield Family("sum", action.name, (one, other), parts, whole=True)
     if "x" in ranges and "y" in ranges:
-        shapes = PlaneShapes.of(ranges["x"], ranges["y"])
+        shapes = PlaneShapes.of(ranges["x"], ranges["y"], places)
         yield from of_a_point(shapes, "theta" if "theta" in ranges else "heading")
         yield from in_the_plane(ranges, shapes)
     yield from friction_forms(ranges, wheel)

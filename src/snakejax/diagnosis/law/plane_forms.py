@@ -75,8 +75,11 @@ def _spots(
     }
     for kind, (text, own) in functions.items():
         terms = _each(actions, "ab"[: len(actions)], text)
+        of_action = actions[0].shape
+        begins = tuple(part.starts[0] for part in of_action)
+        also = tuple((*spot, *begins) for spot in shapes.small_spots) if kind == "bump" else ()
         whole = len(actions) > 1
-        yield Family(f"{kind} in the plane", name, place, terms, (*own, *actions[0].shape), whole=whole)
+        yield Family(f"{kind} in the plane", name, place, terms, (*own, *of_action), whole=whole, also=also)
 
 
 def _coverings(action: Action, place: tuple[str, str], shapes: PlaneShapes) -> Iterator[Family]:

@@ -9,13 +9,16 @@ from .units import Unit
 
 METRE: Unit = {"m": 1}
 """The unit of a place."""
+SMALL = 0.05
+"""The width of a small spot, as a share of the size of what was seen. A lattice over all places would be large: it is
+looked for where the vehicle was."""
 
 
 class PlaneShapes(NamedTuple):
     """Parameters of the shape of what is in the plane, over the `size` [m] of what was seen of it.
 
     `point`: (x0, y0); `width` s; of a line the direction q, over half a turn or `around` a whole one, and the distance
-    d from the origin; `corner` s: over what a corner is round.
+    d from the origin; `corner` s: over what a corner is round. `small_spots`: x0, y0 and s of those near a path.
     """
 
     size: float
@@ -25,10 +28,11 @@ class PlaneShapes(NamedTuple):
     around: ShapeParameter
     distance: ShapeParameter
     corner: ShapeParameter
+    small_spots: tuple[tuple[float, float, float], ...]
 
     @staticmethod
-    def of(x: Range, y: Range) -> "PlaneShapes":
-        """Those of a place of which `x` and `y` were seen."""
+    def of(x: Range, y: Range, places: np.ndarray) -> "PlaneShapes":
+        """Those of a place of which `x` and `y` were seen, and the `places` (M, 2) of a path."""
         size = max(x.width, y.width)
         x0, y0 = (
             ShapeParameter(
@@ -44,4 +48,15 @@ class PlaneShapes(NamedTuple):
         q = ShapeParameter("q", {"rad": 1}, tuple(np.pi * np.arange(8) / 8))
         d = ShapeParameter("d", METRE, tuple(size * np.linspace(-0.4, 0.4, 5)), -3 * size, 3 * size)
         around = q._replace(starts=tuple(np.pi * np.arange(16) / 8))
-        return PlaneShapes(size, (x0, y0), s, q, around, d, s._replace(starts=(0.05 * size,), low=0.002 * size))
+        corner, small = s._replace(starts=(0.05 * size,), low=0.002 * size), SMALL * size
+        spots = tuple((*place, small) for place in _lattice_near(places, small))
+        return PlaneShapes(size, (x0, y0), s, q, around, d, corner, spots)
+
+
+def _lattice_near(places: np.ndarray, spacing: float) -> list[tuple[float, float]]:
+    """The points of a square lattice of this `spacing` around which one of the `places` (M, 2) is in the square of
+    three spacings."""
+    at = np.unique(np.round(places / spacing).astype(int), axis=0)
+    steps = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
+    near = np.unique((at[:, None] + steps).reshape(-1, 2), axis=0)
+    return [(float(a), float(b)) for a, b in spacing * near]

@@ -20,11 +20,12 @@ def of_a_point(shapes: PlaneShapes, angle: str) -> Iterator[Family]:
     yield Family("spring", "world", PLACE, (pull, *constant), whole=True)
     bump = "exp(-((x - x0) ** 2 + (y - y0) ** 2) / s ** 2)"
     slope = (("east", f"(x - x0) * {bump}"), ("north", f"(y - y0) * {bump}"))
-    yield Family("hill", "world", PLACE, (Term("a", PER_METRE, slope),), (*shapes.point, shapes.width))
+    spot, small = (*shapes.point, shapes.width), shapes.small_spots
+    yield Family("hill", "world", PLACE, (Term("a", PER_METRE, slope),), spot, also=small)
     # The vortex of Kaufmann (1962): a solid whirl inside of s, and a velocity that falls with the distance beyond.
     core = " / ((x - x0) ** 2 + (y - y0) ** 2 + s ** 2)"
     whirl = (("east", f"-(y - y0){core}"), ("north", f"(x - x0){core}"))
-    yield Family("whirl", "world", PLACE, (Term("a", {"N": 1, "m": 1}, whirl),), (*shapes.point, shapes.width))
+    yield Family("whirl", "world", PLACE, (Term("a", {"N": 1, "m": 1}, whirl),), spot, also=small)
     # Without a slack length it is a spring, and without a corner nobody can follow its slope.
     taut = _taut("sqrt((x - x0) ** 2 + (y - y0) ** 2 + s ** 2)")
     slack = ShapeParameter("d", METRE, tuple(shapes.size * part for part in (0.2, 0.5, 0.8)), 0.0, 5 * shapes.size)

@@ -2,7 +2,6 @@
 then without the terms that predict nothing.
 """
 
-import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -71,16 +70,15 @@ def on_grids(windows: ForceWindows, forms: Sequence[Family], given: Sequence[np.
     # Forms of one shape, which differ in what acts, share the functions of it.
     alike: dict[tuple, list[Family]] = {}
     for family in forms:
-        alike.setdefault(tuple((part.name, part.starts) for part in family.shape), []).append(family)
+        starts = tuple((part.name, part.starts) for part in family.shape)
+        alike.setdefault((starts, family.also), []).append(family)
     trials = in_threads(lambda group: on_grid(windows, group, given), alike.values())
     return [best for group in trials for best in group]
 
 
 def on_grid(windows: ForceWindows, alike: Sequence[Family], given: Sequence[np.ndarray]) -> list[Trial]:
     """Of each of the forms `alike`, whose shapes have the same starts, the best of these."""
-    shape = alike[0].shape
-    rows = list(itertools.product(*(part.starts for part in shape)))
-    grid = np.array(rows, float).reshape(len(rows), len(shape))
+    grid = alike[0].starts
     trials: list[list[Trial]] = [[] for _ in alike]
     for k in range(0, len(grid), BLOCK):
         calls: Calls = ({}, {})

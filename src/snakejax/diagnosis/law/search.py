@@ -101,7 +101,7 @@ def search(
     """
     given = [windows.histories(family, named(family, shape[None])) for family, shape in beside]
     nothing = form_at(windows, NO_LAW, np.zeros((1, 0)), given)[0].left_out
-    forms = list(families(windows.ranges(), windows.wheel))
+    forms = list(families(windows.ranges(), windows.wheel, windows.places()))
     laws = _proposals(windows, _best_trials(windows, forms, given), len(forms), nothing)
     noise = largest_noise_misfit(windows.samples)
     if laws and (windows.beside or min(law.left_out for law in laws) > noise):
@@ -114,7 +114,7 @@ def search(
 def smooth_laws(windows: ForceWindows) -> tuple[ProposedLaw, ...]:
     """The smooth functions that predict runs left out best, as `search` proposes them, whatever formulas do."""
     nothing = form_at(windows, NO_LAW, np.zeros((1, 0)), ())[0].left_out
-    forms = sum(1 for _ in families(windows.ranges(), windows.wheel))
+    forms = sum(1 for _ in families(windows.ranges(), windows.wheel, windows.places()))
     return tuple(_smooth_laws(windows, (), nothing, forms))
 
 
@@ -247,8 +247,7 @@ def chance(family: Family, forms: int) -> float:
 def choices(family: Family, forms: int) -> int:
     """Among how many trials one of `family` is the best, of so many `forms`: each start of the shape is one, or each
     penalty."""
-    starts = [len(part.starts) for part in family.shape]
-    return int(forms * np.prod(starts if family.curvature is None else [len(PENALTIES)]))
+    return forms * (len(family.starts) if family.curvature is None else len(PENALTIES))
 
 
 def _values(trial: Trial) -> dict[str, float]:

@@ -1,5 +1,6 @@
 """The vocabulary of laws: what may act, terms with units, and forms that are sums of terms."""
 
+import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -103,7 +104,8 @@ class Family(NamedTuple):
 
     `whole`: without one of its terms it is another form, or depends on where the axes of the cameras are. `together`:
     the formula of all terms for each component, where that is not their sum written out. `curvature` (T, T): the
-    quadratic form of the amplitudes that says how curved the function is.
+    quadratic form of the amplitudes that says how curved the function is. `also`: values of the shape at which its
+    search begins too.
     """
 
     name: str
@@ -114,11 +116,19 @@ class Family(NamedTuple):
     whole: bool = False
     together: tuple[tuple[str, str], ...] = ()
     curvature: np.ndarray | None = None
+    also: tuple[tuple[float, ...], ...] = ()
 
     @property
     def size(self) -> int:
         """How many parameters it has."""
         return len(self.terms) + len(self.shape)
+
+    @property
+    def starts(self) -> np.ndarray:
+        """The values (G, S) of the shape at which its search begins: all combinations of those of its parameters, and
+        `also`."""
+        rows = [*itertools.product(*(part.starts for part in self.shape)), *self.also]
+        return np.array(rows, float).reshape(len(rows), len(self.shape))
 
     def expression(self) -> str:
         """`east = a * x; grip = 1 - g * x`."""

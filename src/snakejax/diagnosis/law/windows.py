@@ -132,6 +132,11 @@ class ForceWindows(NamedTuple):
         ends = {name: Range(*np.percentile(values, [2, 98])) for name, values in histories_of.items()}
         return {name: interval for name, interval in ends.items() if interval.high - interval.low > 1e-6}
 
+    def places(self) -> np.ndarray:
+        """Where (M, 2) the vehicle was at each sample; none where its place is no variable."""
+        axes = [self.variables[name][0].ravel() for name in ("x", "y") if name in self.variables]
+        return np.stack(axes, axis=1) if len(axes) == 2 else np.zeros((0, 2))
+
     def histories(self, family: Family, shape: Mapping[str, np.ndarray], calls: Calls | None = None) -> np.ndarray:
         """The knots (G, T, W, 5K) of each term at G values of the `shape`: force knot by knot, then grip. `calls`:
         functions that other forms have evaluated at this shape."""
