@@ -12,7 +12,7 @@ from snakejax.core.errors import FitError
 from snakejax.core.parameter import Domain
 from snakejax.diagnosis.explanation import PoseError, Remainder
 from snakejax.diagnosis.inexact import confidence, evidence, explaining
-from snakejax.diagnosis.inexact.assessment import Assessment
+from snakejax.diagnosis.inexact.assessment import Assessment, surest_first
 from snakejax.diagnosis.inexact.candidate_model import CandidateModel
 from snakejax.diagnosis.inexact.evidence import ModelEvidence
 from snakejax.diagnosis.inexact.explaining import shares_of
@@ -170,6 +170,12 @@ def test_twins_share_what_both_explain() -> None:
     shares = left.contributions(("a", "b", "h"))
     alone = left.error(["b"]).sum() - left.error(["a", "b"]).sum()
     assert shares["a"] == pytest.approx(alone / 2, rel=0.1) and shares["h"] == pytest.approx(alone / 2, rel=0.1)
+
+
+def test_effects_are_listed_the_surest_first_and_of_equals_that_which_contributes_most() -> None:
+    words = {"a": "ambiguous", "b": "sure", "c": "likely", "d": "stand_in", "e": "sure"}
+    contributions = {"a": 90.0, "b": 1.0, "c": 50.0, "d": 30.0, "e": 2.0}
+    assert surest_first(words, contributions) == tuple("ebcad")
 
 
 @pytest.mark.parametrize("misleads", [False, True])

@@ -16,7 +16,7 @@ from ..explanation import RunBand
 from ..latent_force.missing_force import LatentForce
 from ..odd_runs import OddRun, odd_runs
 from ..selection.candidates import CandidateSet
-from .confidence import Confidence, confidence
+from .confidence import WORDS, Confidence, confidence
 from .evidence import ModelEvidence, model_evidence
 from .left_out import LeftOut, left_out
 from .prediction import PredictiveCheck, bands, left_out_bands, likelier_segments, predictive_check, simulated_segments
@@ -27,12 +27,12 @@ from .subsets import Subsets
 class Assessment(NamedTuple):
     """What a search has found.
 
-    `base`: effects that were in the model from the start; `effects`, that which explains most first; `wide`: the
-    problem under the discrepancy of intervals (`interval_force`); `confidence` of each effect; `predicted`: runs left
-    out; `evidence` of what else is there; `check` of the held-out runs; `floor` (3,) [m, m, rad]: what vehicle and
-    cameras leave of whole runs; `bands` of all runs; `odd_runs` among the train runs; `candidate_set`: that of the
-    search; `undecided_laws`: formulas of laws among which the runs cannot choose, so that none of them is an effect;
-    `law_force`: what is missing without the law among the effects, and that law.
+    `base`: effects that were in the model from the start; `effects`, the surest first; `wide`: the problem under the
+    discrepancy of intervals (`interval_force`); `confidence` of each effect; `predicted`: runs left out; `evidence` of
+    what else is there; `check` of the held-out runs; `floor` (3,) [m, m, rad]: what vehicle and cameras leave of whole
+    runs; `bands` of all runs; `odd_runs` among the train runs; `candidate_set`: that of the search; `undecided_laws`:
+    formulas of laws among which the runs cannot choose, so that none of them is an effect; `law_force`: what is missing
+    without the law among the effects, and that law.
     """
 
     search: Search
@@ -117,8 +117,7 @@ def assess(
         expected = predicting = expected.without_force(scales.least_force)
     predicted = left_out(search, linear)
     sure = confidence(search, linear, predicted, laws, exact)
-    contributions = predicted.contributions(tuple(sure))
-    effects = tuple(sorted(sure, key=lambda effect: -contributions[effect]))
+    effects = surest_first({effect: one.word for effect, one in sure.items()}, predicted.contributions(tuple(sure)))
     problem = linear.under(wide)
     search.progress(ProgressEvent(Phase.PREDICTIVE_CHECK))
     best = problem.with_effects(effects)
@@ -134,6 +133,12 @@ def assess(
     odd = _odd_runs(search, linear, problem, gram)
     results = (problem, sure, predicted, evidence, check, floor, predictions, odd)
     return Assessment(search, linear, base, effects, *results, candidate_set, undecided)
+
+
+def surest_first(words: Mapping[str, str], contributions: Mapping[str, float]) -> tuple[str, ...]:
+    """The effects by the word for how sure each is, in the order of `WORDS`; of equals that which contributes most
+    first."""
+    return tuple(sorted(words, key=lambda effect: (WORDS.index(words[effect]), -contributions[effect])))
 
 
 def _odd_runs(search: Search, linear: Linear, problem: Subsets, gram: np.ndarray) -> tuple[OddRun, ...]:

@@ -10,7 +10,8 @@ from .left_out import LeftOut
 from .search import Linear, Search
 from .subsets import Subsets, removal_costs, substitutes
 
-SURE, LIKELY, STAND_IN, AMBIGUOUS = "sure", "likely", "stand_in", "ambiguous"
+WORDS = SURE, LIKELY, AMBIGUOUS, STAND_IN = "sure", "likely", "ambiguous", "stand_in"
+"""How sure an effect is, the surest first."""
 
 
 class Confidence(NamedTuple):

@@ -24,8 +24,7 @@ steps: its error is shown, nothing is decided by it."""
 
 
 def steps_of(assessment: Assessment) -> list[SelectionStep]:
-    """The steps after the base: the change of structure where there was one, then the effects, that which explains
-    most first.
+    """The steps after the base: the change of structure where there was one, then the effects, the surest first.
 
     The last step has the values of the assessment. Before it effects are lacking: tyre and effects are fitted to whole
     runs from the values of the assessment, and again from those of the step before if they end with a larger error than
