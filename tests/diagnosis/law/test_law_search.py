@@ -572,6 +572,15 @@ def test_no_form_drives_the_body_whichever_way_it_moves() -> None:
     assert counted > 20
 
 
+def test_no_place_pushes_the_body_whichever_way_it_faces() -> None:
+    """What is constant in the frame of the body would turn with it; a friction and a force in the world do not."""
+    seen = {name: Range(-1.0, 1.2) for name in NAMES}
+    smooth = [*smooth_of_one(seen, ()), *smooth_of_two(seen, (), "X", ("x", "u"))]
+    forms = [one for one in (*families(seen, ()), *smooth) if {"x", "y"} & set(one.variables)]
+    assert {"world", "friction", "drag", "grip", "N"} <= {one.action for one in forms}
+    assert not {"X", "Y", "body"} & {one.action for one in forms}
+
+
 def test_units_of_products() -> None:
     assert unit_text(product({"N": 1}, power({"m": 1, "s": -1}, -1))) == "N s/m"
     assert unit_text(product({"N": 1, "m": 1}, power({"rad": 1}, -2))) == "N m/rad^2"

@@ -97,13 +97,15 @@ def families(ranges: dict[str, Range], wheel: Sequence[str], places: np.ndarray 
                 yield _of_one_variable(action, function, variable)
             if variable in WORLD_VARIABLES:
                 yield _along(WORLD, "world", function, variable)
-            if variable not in wheel and not drives(BODY_ACTION, variable, function.name):
+            on_body = all(may_act(action, variable, wheel) for action, _ in BODY)
+            if on_body and not drives(BODY_ACTION, variable, function.name):
                 yield _along(BODY, BODY_ACTION, function, variable)
     for one, other in combinations(single, 2):
         if one in wheel or other in wheel:
             continue
         for action in ACTIONS[:3]:
-            if any(drives(action.name, variable, "product") for variable in (one, other)):
+            pair = (one, other)
+            if any(drives(action.name, v, "product") or not may_act(action, v, wheel) for v in pair):
                 continue
             unit = product(unit_of(one), unit_of(other))
             yield Family("product", action.name, (one, other), (term_of(action, "a", f"{one} * {other}", unit),))

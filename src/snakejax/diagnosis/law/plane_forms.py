@@ -7,7 +7,21 @@ import numpy as np
 from snakejax.dynamics.law import PLACE_OF_WHEEL
 
 from .plane_shapes import METRE, PlaneShapes
-from .terms import ACTIONS, EAST, HEIGHT, NORTH, OF_WHEEL, Action, Family, Range, ShapeParameter, Term, term_of
+from .terms import (
+    ACTIONS,
+    EAST,
+    HEIGHT,
+    NORTH,
+    OF_WHEEL,
+    PLACE,
+    Action,
+    Family,
+    Range,
+    ShapeParameter,
+    Term,
+    may_act,
+    term_of,
+)
 from .units import Unit
 
 
@@ -19,8 +33,9 @@ def in_the_plane(ranges: dict[str, Range], shapes: PlaneShapes) -> Iterator[Fami
         yield _tiles(action, PLACE_OF_WHEEL, shapes)
     for action in ACTIONS:
         if action.name in ("friction", "drag"):
-            yield from _coverings(action, ("x", "y"), shapes)
-    for action, (x, y) in [*((action, "xy") for action in ACTIONS), *((one, PLACE_OF_WHEEL) for one in at_wheels)]:
+            yield from _coverings(action, PLACE, shapes)
+    of_body = [(action, PLACE) for action in ACTIONS if may_act(action, PLACE[0], ())]
+    for action, (x, y) in [*of_body, *((one, PLACE_OF_WHEEL) for one in at_wheels)]:
         plane = tuple(term_of(action, a, v, METRE) for a, v in (("a", x), ("b", y)))
         yield Family("plane", action.name, (x, y), plane, action.shape)
         # On which side of a line something is, the direction says: it turns once around. A grip or a height may fall as
@@ -35,7 +50,7 @@ def in_the_plane(ranges: dict[str, Range], shapes: PlaneShapes) -> Iterator[Fami
 
 def _in_the_world(shapes: PlaneShapes) -> Iterator[Family]:
     """A force along the axes of the world."""
-    sides, place = (EAST, NORTH), ("x", "y")
+    sides, place = (EAST, NORTH), PLACE
     constant = (term_of(EAST, "a", "", {}), term_of(NORTH, "b", "", {}))
     planes = [
         term_of(side, letter, v, METRE)

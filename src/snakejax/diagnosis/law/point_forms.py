@@ -3,13 +3,11 @@
 from collections.abc import Callable, Iterator
 
 from .plane_shapes import METRE, PlaneShapes
-from .terms import DRY_FRICTION, EAST, NORTH, Family, ShapeParameter, Term, term_of
+from .terms import DRY_FRICTION, EAST, NORTH, PLACE, Family, ShapeParameter, Term, term_of
 from .units import Unit
 
 PER_METRE: Unit = {"N": 1, "m": -1}
 """The unit of a stiffness."""
-PLACE = ("x", "y")
-"""The variables of these forms."""
 
 
 def of_a_point(shapes: PlaneShapes, angle: str) -> Iterator[Family]:

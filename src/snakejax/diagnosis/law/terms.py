@@ -56,6 +56,8 @@ ACTIONS = (
 )
 OF_WHEEL = ("grip", "rolling")
 """Those actions that each wheel has for itself, which may depend on its own variables."""
+OF_FACING = ("X", "Y")
+"""Those actions that turn with the body."""
 LOAD = Action("load", (("grip", "-axle"),), {})
 """Load goes from one axle to the other: the grip rises behind the middle by as much as it falls ahead of it."""
 FRONT, BACK = (
@@ -80,15 +82,21 @@ PUSH_SUFFIX = "_acceleration"
 EAST, NORTH = Action("east", (("east", ""),), NEWTON), Action("north", (("north", ""),), NEWTON)
 BODY_ACTION = "body"
 """The name of the action of a force on the body together with a yaw moment."""
+PLACE = ("x", "y")
+"""The variables that are the place of the body."""
 WORLD_VARIABLES = ("x", "y", "heading", "theta", "time")
 """The variables on which a force along the axes of the world may depend."""
 
 
 def may_act(action: Action, variable: str, wheel: Sequence[str]) -> bool:
     """Whether an action may depend on a `variable`: on those of a `wheel` only what each wheel has for itself may, and
-    that depends on the speed and not on u, as a wheel is alike in both directions."""
+    that depends on the speed and not on u, as a wheel is alike in both directions. No place pushes along or across the
+    body whichever way that faces: from runs that all face one way it cannot be told from a friction or from a force in
+    the world, and leads others astray."""
     of_wheel = action.name in OF_WHEEL
-    return of_wheel if variable in wheel else not (of_wheel and variable == "u")
+    if variable in wheel:
+        return of_wheel
+    return not (of_wheel and variable == "u") and not (variable in PLACE and action.name in OF_FACING)
 
 
 class Term(NamedTuple):
