@@ -77,7 +77,9 @@ def on_grids(windows: ForceWindows, forms: Sequence[Family], given: Sequence[np.
 
 
 def on_grid(windows: ForceWindows, alike: Sequence[Family], given: Sequence[np.ndarray]) -> list[Trial]:
-    """Of each of the forms `alike`, whose shapes have the same starts, the best of these."""
+    """Of each of the forms `alike`, whose shapes have the same starts, the one that predicts runs left out best. Beside
+    a random force also the one that is nearest to all runs, if it is another: where one run alone shows a bump, the
+    others do not predict it."""
     grid = alike[0].starts
     trials: list[list[Trial]] = [[] for _ in alike]
     for k in range(0, len(grid), BLOCK):
@@ -85,7 +87,11 @@ def on_grid(windows: ForceWindows, alike: Sequence[Family], given: Sequence[np.n
         for family, own in zip(alike, trials, strict=True):
             own += form_at(windows, family, grid[k : k + BLOCK], given, calls)
     finite = [[trial for trial in own if np.isfinite(trial.left_out)] for own in trials]
-    return [min(own, key=lambda trial: trial.left_out) for own in finite if own]
+    best = [min(own, key=lambda trial: trial.left_out) for own in finite if own]
+    if windows.beside:
+        nearest = [min(own, key=lambda trial: trial.chi2) for own in finite if own]
+        best += [one for one, other in zip(nearest, best, strict=True) if one is not other]
+    return best
 
 
 def refined(windows: ForceWindows, trial: Trial, given: Sequence[np.ndarray]) -> Trial:

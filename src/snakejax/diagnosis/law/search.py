@@ -32,6 +32,8 @@ from .windows import ForceWindows
 
 REFINED = 60
 """So many forms have the parameters of their shape refined."""
+NEAREST = 20
+"""So many others beside a random force, those that are nearest to all runs."""
 KEPT = 6
 """The largest number of proposed laws."""
 SMOOTH = 3
@@ -156,10 +158,20 @@ def wider(windows: ForceWindows, law: ProposedLaw) -> tuple[ProposedLaw, ...]:
 
 
 def _best_trials(windows: ForceWindows, forms: Sequence[Family], given: Sequence[np.ndarray]) -> list[Trial]:
-    """The `REFINED` best fits of `forms`, refined and without needless terms."""
+    """The `REFINED` best fits of `forms`, and beside a random force the `NEAREST` others, refined and without needless
+    terms."""
     trials = sorted(on_grids(windows, forms, given), key=lambda trial: trial.left_out)
-    best = in_threads(lambda trial: pruned(windows, refined(windows, trial, given), given), trials[:REFINED])
+    first = trials[:REFINED]
+    if windows.beside:
+        chosen = set(map(id, first))
+        first += [trial for trial in sorted(trials, key=_cost) if id(trial) not in chosen][:NEAREST]
+    best = in_threads(lambda trial: pruned(windows, refined(windows, trial, given), given), first)
     return [with_positive_amplitude(windows, trial) for trial in best if not _is_of_one_side(trial.family)]
+
+
+def _cost(trial: Trial) -> float:
+    """chi^2 of all runs, and twice the number of amplitudes, as in runs left out."""
+    return trial.chi2 + 2 * len(trial.family.terms)
 
 
 def _is_of_one_side(family: Family) -> bool:
@@ -168,11 +180,14 @@ def _is_of_one_side(family: Family) -> bool:
 
 
 def _proposals(windows: ForceWindows, trials: Sequence[Trial], forms: int, nothing: float) -> list[ProposedLaw]:
-    """The laws of `trials`, the best of so many `forms`, that predict better than `nothing`; the best first."""
+    """The laws of `trials`, the best of so many `forms`, that predict better than `nothing`; the best first. Beside a
+    random force also those that are so much nearer to all runs: whole runs judge them later."""
     laws: dict[object, ProposedLaw] = {}
     for trial in trials:
         variance = max(1.0, trial.left_out / windows.samples)
         score = trial.left_out + variance * chance(trial.family, forms)
+        if windows.beside:
+            score = min(score, trial.chi2 + variance * (chance(trial.family, forms) + 2 * len(trial.family.terms)))
         if score < nothing:
             excess = max(nothing - windows.samples, 1e-9)
             share = float(np.clip((nothing - trial.left_out) / excess, 0.0, 1.0))
