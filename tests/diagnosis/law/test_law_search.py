@@ -479,6 +479,22 @@ def test_the_law_that_made_the_force_comes_first(name: str) -> None:
     assert first.left_out < 1.05 and first.share > 0.95
 
 
+@pytest.mark.slow
+def test_beside_a_random_force_a_hill_is_proposed_that_one_run_alone_shows() -> None:
+    """The last run passes it within its width, the others three widths away: they do not predict the force on it."""
+    own = moving(np.random.default_rng(1))
+    x0, y0 = own["x"][-1, 50] + 0.03, own["y"][-1, 50] - 0.04
+    away = np.hypot(own["x"] - x0, own["y"] - y0).reshape(RUNS, -1).min(axis=1)
+    assert away[-1] < 0.1 and away[:-1].min() > 0.3
+    slope = f"exp(-((x - {x0}) ** 2 + (y - {y0}) ** 2) / 0.01)"
+    made = law_of(("east", f"3 * (x - {x0}) * {slope}"), ("north", f"3 * (y - {y0}) * {slope}"))
+    windows = windows_of(made)
+    first = search(windows._replace(beside=True))[0]
+    assert first.family.name == "hill" and first.values["x0"] == pytest.approx(x0, abs=0.01)
+    assert first.left_out > 3 and first.score < 1.2 * windows.samples
+    assert all(law.family.name != "hill" for law in search(windows))
+
+
 def test_a_parameter_that_moves_nothing_hides_no_law() -> None:
     """Beside it the regression gives what it gives without it."""
     made, _ = CASES["cable"]
