@@ -74,6 +74,8 @@ def score(found: dict[str, Any], key: dict[str, Any], truth: dict[str, Any] | No
         row["odd_named"] = bool({odd["run"] for odd in found.get("odd_runs") or ()} & set(key["odd"]))
         row["others_odd"] = sorted({odd["run"] for odd in found.get("odd_runs") or ()} - set(key["odd"]))
     row["strong_first"] = is_same(row["first"], key["strong"]) if key["strong"] else None
+    listed = next(iter([*found["effects"], *(final.get("confidence") or {})]), top)
+    row["strong_listed_first"] = is_same(listed, key["strong"]) if key["strong"] else None
     if truth:
         row["detectable"] = [name for name in key["effects"] if clear(name, key, truth) >= DETECTABLE]
         row["detected"] = [name for name in row["detectable"] if name in named or twin_named(name, named)]

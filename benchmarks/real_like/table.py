@@ -30,6 +30,7 @@ def strong_part(rows: list[Row]) -> list[str]:
     ratios = sorted(row["ratio"] for row in rows if row["ratio"] is not None)
     lines = [
         share("strong effect first", [row["strong_first"] for row in rows], ">= 57 of 60", lambda s: s >= 0.95),
+        share("strong effect listed first, the surest first", [row["strong_listed_first"] for row in rows], ""),
         share("strong effect called sure", [row["strong"] in row["sure"] for row in rows], ""),
         share("strong effect on top of the base ranking", [row["top_ranked"] == row["strong"] for row in rows], ""),
         share("its 95 % interval holds the truth", inside, "90 to 98 %", lambda s: 0.9 <= s <= 0.98),
