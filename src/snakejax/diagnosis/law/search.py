@@ -164,13 +164,14 @@ def _best_trials(windows: ForceWindows, forms: Sequence[Family], given: Sequence
     first = trials[:REFINED]
     if windows.beside:
         chosen = set(map(id, first))
-        first += [trial for trial in sorted(trials, key=_cost) if id(trial) not in chosen][:NEAREST]
+        first += [trial for trial in sorted(trials, key=_expected) if id(trial) not in chosen][:NEAREST]
     best = in_threads(lambda trial: pruned(windows, refined(windows, trial, given), given), first)
     return [with_positive_amplitude(windows, trial) for trial in best if not _is_of_one_side(trial.family)]
 
 
-def _cost(trial: Trial) -> float:
-    """chi^2 of all runs, and twice the number of amplitudes, as in runs left out."""
+def _expected(trial: Trial) -> float:
+    """chi^2 that runs like these leave where they are left out: that of all runs and twice the number of amplitudes
+    (Akaike 1974)."""
     return trial.chi2 + 2 * len(trial.family.terms)
 
 
@@ -184,13 +185,12 @@ def _proposals(windows: ForceWindows, trials: Sequence[Trial], forms: int, nothi
     random force also those that are so much nearer to all runs: whole runs judge them later."""
     laws: dict[object, ProposedLaw] = {}
     for trial in trials:
-        variance = max(1.0, trial.left_out / windows.samples)
-        score = trial.left_out + variance * chance(trial.family, forms)
-        if windows.beside:
-            score = min(score, trial.chi2 + variance * (chance(trial.family, forms) + 2 * len(trial.family.terms)))
+        left_out = min(trial.left_out, _expected(trial)) if windows.beside else trial.left_out
+        variance = max(1.0, left_out / windows.samples)
+        score = left_out + variance * chance(trial.family, forms)
         if score < nothing:
             excess = max(nothing - windows.samples, 1e-9)
-            share = float(np.clip((nothing - trial.left_out) / excess, 0.0, 1.0))
+            share = float(np.clip((nothing - left_out) / excess, 0.0, 1.0))
             law = _proposed(trial, windows.samples, score)._replace(share=share, forms=forms)
             # One form may come from several, of which other terms were left out.
             if law.form not in laws or score < laws[law.form].score:
