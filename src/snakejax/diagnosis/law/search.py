@@ -116,7 +116,7 @@ def search(
 def smooth_laws(windows: ForceWindows) -> tuple[ProposedLaw, ...]:
     """The smooth functions that predict runs left out best, as `search` proposes them, whatever formulas do."""
     nothing = form_at(windows, NO_LAW, np.zeros((1, 0)), ())[0].left_out
-    forms = sum(1 for _ in families(windows.ranges(), windows.wheel, windows.places()))
+    forms = sum(1 for _ in families(windows.ranges(), windows.wheel))
     return tuple(_smooth_laws(windows, (), nothing, forms))
 
 
@@ -163,8 +163,7 @@ def _best_trials(windows: ForceWindows, forms: Sequence[Family], given: Sequence
     trials = sorted(on_grids(windows, forms, given), key=lambda trial: trial.left_out)
     first = trials[:REFINED]
     if windows.beside:
-        chosen = set(map(id, first))
-        first += [trial for trial in sorted(trials, key=_expected) if id(trial) not in chosen][:NEAREST]
+        first += sorted(trials[REFINED:], key=_expected)[:NEAREST]
     best = in_threads(lambda trial: pruned(windows, refined(windows, trial, given), given), first)
     return [with_positive_amplitude(windows, trial) for trial in best if not _is_of_one_side(trial.family)]
 

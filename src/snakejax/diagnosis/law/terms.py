@@ -84,7 +84,7 @@ BODY_ACTION = "body"
 """The name of the action of a force on the body together with a yaw moment."""
 PLACE = ("x", "y")
 """The variables that are the place of the body."""
-WORLD_VARIABLES = ("x", "y", "heading", "theta", "time")
+WORLD_VARIABLES = (*PLACE, "heading", "theta", "time")
 """The variables on which a force along the axes of the world may depend."""
 
 

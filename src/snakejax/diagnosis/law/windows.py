@@ -13,7 +13,7 @@ from ..latent_force.estimate import ForceEstimator, ForceSolution
 from ..latent_force.force_sensitivity import MotionSamples
 from ..latent_force.piecewise_force import SPACING
 from .knots import KnotFit, KnotMeans, hats_at
-from .terms import Family, Range
+from .terms import PLACE, Family, Range
 
 NOT_ALONE = ("axle", "rolling_speed")
 """Variables of a wheel of which no form is a function: one has two values, the other is nearly the speed of the
@@ -133,9 +133,8 @@ class ForceWindows(NamedTuple):
         return {name: interval for name, interval in ends.items() if interval.high - interval.low > 1e-6}
 
     def places(self) -> np.ndarray:
-        """Where (M, 2) the vehicle was at each sample; none where its place is no variable."""
-        axes = [self.variables[name][0].ravel() for name in ("x", "y") if name in self.variables]
-        return np.stack(axes, axis=1) if len(axes) == 2 else np.zeros((0, 2))
+        """Where (M, 2) the vehicle was at each sample."""
+        return np.stack([self.variables[name][0].ravel() for name in PLACE], axis=1)
 
     def histories(self, family: Family, shape: Mapping[str, np.ndarray], calls: Calls | None = None) -> np.ndarray:
         """The knots (G, T, W, 5K) of each term at G values of the `shape`: force knot by knot, then grip. `calls`:
