@@ -365,6 +365,19 @@ def test_damping_halves_the_step_of_which_the_recordings_say_least() -> None:
     assert linear.adapted(0.0, 0.9) == linear.adapted(0.2 * least, 1.0) == 0.0
 
 
+def test_what_the_fit_has_inside_its_bounds_has_an_error_under_a_larger_force_too() -> None:
+    """Two parameters of one column each; the first is positive where noise is all, and would be negative beside a
+    force. Its bound is not where the fit is."""
+    prior, low, high = Prior(np.zeros(2), np.full(2, 1e-12)), np.array([-1.0, -np.inf]), np.full(2, np.inf)
+    gram = np.array([[10.0, -3.0, 1.0], [-3.0, 2.0, 0.5], [1.0, 0.5, 1.0]])
+    subsets = Subsets(gram, (0, 1), OrderedDict(), prior, low, high)
+    assert subsets.with_effects(()).free == (1,)
+    unbounded = subsets.unbounded([0]).with_effects(())
+    assert unbounded.free == (0, 1)
+    assert unbounded.sd == pytest.approx(np.sqrt(np.diag(np.linalg.inv(gram[1:, 1:]))))
+    assert subsets.unbounded([1]).with_effects(()).free == (1,)
+
+
 @pytest.mark.parametrize("entry", [np.nan, np.inf])
 def test_a_fit_that_is_no_longer_finite_says_so(entry: float) -> None:
     """A law may lead there, and is then none; NumPy would report that eigenvalues do not converge."""

@@ -1,6 +1,7 @@
 """The search for a law finds the one that made a force, with its variables, its numbers and their units."""
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,9 +9,10 @@ import pytest
 from snakejax.core.formula import evaluated, names_in, parsed
 from snakejax.diagnosis.law.grammar import families
 from snakejax.diagnosis.law.knots import KnotFit, hats_at
+from snakejax.diagnosis.law.passivity import is_passive
 from snakejax.diagnosis.law.search import finer, search, smooth_laws, wider, with_amplitudes
 from snakejax.diagnosis.law.smooth_forms import smooth_floors, smooth_of_one, smooth_of_two
-from snakejax.diagnosis.law.terms import Family, Range, Term
+from snakejax.diagnosis.law.terms import ACTIONS, Family, Range, ShapeParameter, Term, term_of
 from snakejax.diagnosis.law.units import power, product, unit_text
 from snakejax.diagnosis.law.windows import ForceWindows
 from snakejax.diagnosis.law.words import in_words
@@ -595,6 +597,32 @@ def test_no_place_pushes_the_body_whichever_way_it_faces() -> None:
     forms = [one for one in (*families(seen, ()), *smooth) if {"x", "y"} & set(one.variables)]
     assert {"world", "friction", "drag", "grip", "N"} <= {one.action for one in forms}
     assert not {"X", "Y", "body"} & {one.action for one in forms}
+
+
+@pytest.mark.parametrize("text", ["cos(k * x)", "1 + 0.5 * cos(k * x)"])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("action", ["drag", "friction", "rolling"])
+def test_a_resistance_drives_nothing(action: str, sign: float, text: str) -> None:
+    """What resists takes energy wherever the vehicle is; it may be less than a known resistance somewhere."""
+    windows = windows_of(law_of(("X", "u")))
+    (what,) = [one for one in ACTIONS if one.name == action]
+    family = Family("made", action, ("x",), (term_of(what, "a", f"({text})", {}),), what.shape)
+    parameters = {"a": sign, "k": 7.0} | {part.name: part.starts[0] for part in what.shape}
+    family = family._replace(shape=(ShapeParameter("k", {"m": -1}, (7.0,)), *what.shape))
+    law = SimpleNamespace(family=family, values=parameters)
+    passive = sign > 0 and text.startswith("1")
+    assert is_passive(windows, law, ()) is passive  # type: ignore[arg-type]
+    assert is_passive(windows, law, ("tyre_relaxation",)) is passive  # type: ignore[arg-type]
+    known = {"drag": "body_drag", "friction": "rolling_resistance", "rolling": "rolling_resistance"}
+    assert is_passive(windows, law, (known[action],))  # type: ignore[arg-type]
+
+
+def test_wind_may_drive_and_so_may_a_force() -> None:
+    windows = windows_of(law_of(("X", "u")))
+    push = Family("made", "X", ("u",), (Term("a", {}, (("X", "u"),)),))
+    wind = next(one for one in families(windows.ranges(), windows.wheel) if one.name == "wind")
+    for family, values in ((push, {"a": 1.0}), (wind, {"a": 1.0, "v0": 5.0, "q": 0.0})):
+        assert is_passive(windows, SimpleNamespace(family=family, values=values), ())  # type: ignore[arg-type]
 
 
 def test_units_of_products() -> None:

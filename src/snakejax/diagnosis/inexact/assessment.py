@@ -28,11 +28,11 @@ class Assessment(NamedTuple):
     """What a search has found.
 
     `base`: effects that were in the model from the start; `effects`, the surest first; `wide`: the problem under the
-    discrepancy of intervals (`interval_force`); `confidence` of each effect; `predicted`: runs left out; `evidence` of
-    what else is there; `check` of the held-out runs; `floor` (3,) [m, m, rad]: what vehicle and cameras leave of whole
-    runs; `bands` of all runs; `odd_runs` among the train runs; `candidate_set`: that of the search; `undecided_laws`:
-    formulas of laws among which the runs cannot choose, so that none of them is an effect; `law_force`: what is missing
-    without the law among the effects, and that law.
+    discrepancy of intervals (`interval_force`), without the bounds of what the fit has inside them; `confidence` of
+    each effect; `predicted`: runs left out; `evidence` of what else is there; `check` of the held-out runs; `floor`
+    (3,) [m, m, rad]: what vehicle and cameras leave of whole runs; `bands` of all runs; `odd_runs` among the train
+    runs; `candidate_set`: that of the search; `undecided_laws`: formulas of laws among which the runs cannot choose, so
+    that none of them is an effect; `law_force`: what is missing without the law among the effects, and that law.
     """
 
     search: Search
@@ -119,8 +119,10 @@ def assess(
     sure = confidence(search, linear, predicted, laws, exact)
     effects = surest_first({effect: one.word for effect, one in sure.items()}, predicted.contributions(tuple(sure)))
     problem = linear.under(wide)
+    # What the fit has inside its bounds has an error, also where a larger force would move it to one.
+    of_intervals = problem.unbounded(linear.subsets.with_effects(effects).free)
     search.progress(ProgressEvent(Phase.PREDICTIVE_CHECK))
-    best = problem.with_effects(effects)
+    best = of_intervals.with_effects(effects)
     gram, _ = gram_matrices(linear.data, wide)
     predictions = left_out_bands(search.segments.runs, linear.data, problem, gram, effects, predicting)
     check = None
@@ -131,7 +133,7 @@ def assess(
         predictions += bands(heldout, unseen, best, predicting)
     floor = np.sqrt((open_loop(linear.data, predicting).rms_sd ** 2).mean(axis=0))
     odd = _odd_runs(search, linear, problem, gram)
-    results = (problem, sure, predicted, evidence, check, floor, predictions, odd)
+    results = (of_intervals, sure, predicted, evidence, check, floor, predictions, odd)
     return Assessment(search, linear, base, effects, *results, candidate_set, undecided)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from snakejax.estimation.discrepancy.kalman import gram_matrices
 from snakejax.estimation.discrepancy.least_squares import Prior
 
+from ..law.passivity import is_passive
 from ..law.regression import named
 from ..law.search import ProposedLaw, choices, with_amplitudes
 from ..law.search import search as search_laws
@@ -83,7 +84,7 @@ def beside_weaker_force(search: Search, linear: Linear, share: float) -> Linear:
 
 def proposed(search: Search, linear: Linear) -> list[Proposal]:
     """The laws that the segments propose beside the effects of `linear`; those that are needed beside each law are
-    chosen again with it."""
+    chosen again with it. A resistance that drives the vehicle is none (`is_passive`)."""
     weaker = [beside_weaker_force(search, linear, share) for share in WEAKER]
     unfit = slopeless(search, linear.point)
     beside = [Beside(force_windows(search, one), one.subsets.without(unfit), log_determinant(one)) for one in weaker]
@@ -96,7 +97,8 @@ def proposed(search: Search, linear: Linear) -> list[Proposal]:
         others = tuple(effect for effect in effects if effect != LAW)
         parameters = len(search.model.names)
         fitted = with_amplitudes(law, step[parameters:], step[search.model.free(others)])
-        proposed_laws.append(Proposal(_with_effects(weaker[0], others), fitted, penalised))
+        if is_passive(beside[0].windows, fitted, others):
+            proposed_laws.append(Proposal(_with_effects(weaker[0], others), fitted, penalised))
     return proposed_laws
 
 

@@ -43,6 +43,12 @@ class Subsets(NamedTuple):
         free = [*self.always, *(k for effect in effects for k in self.candidates[effect])]
         return optimum(self.gram if gram is None else gram, free, self.prior, fixed, self.low, self.high)
 
+    def unbounded(self, columns: Iterable[int]) -> "Subsets":
+        """The problem without bounds of the parameters numbered `columns`."""
+        low, high = self.low.copy(), self.high.copy()
+        low[list(columns)], high[list(columns)] = -np.inf, np.inf
+        return self._replace(low=low, high=high)
+
     def without(self, effects: Iterable[str]) -> "Subsets":
         """The problem without some of its candidates."""
         barred = set(effects)
