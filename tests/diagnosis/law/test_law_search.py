@@ -2,6 +2,7 @@
 
 import re
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ import pytest
 from snakejax.core.formula import evaluated, names_in, parsed
 from snakejax.diagnosis.law.grammar import families
 from snakejax.diagnosis.law.knots import KnotFit, hats_at
-from snakejax.diagnosis.law.passivity import is_passive
+from snakejax.diagnosis.law.passivity import OF_TRAVEL, OF_TURNING, is_passive
 from snakejax.diagnosis.law.search import finer, search, smooth_laws, wider, with_amplitudes
 from snakejax.diagnosis.law.smooth_forms import smooth_floors, smooth_of_one, smooth_of_two
 from snakejax.diagnosis.law.terms import ACTIONS, Family, Range, ShapeParameter, Term, term_of
@@ -17,6 +18,8 @@ from snakejax.diagnosis.law.units import power, product, unit_text
 from snakejax.diagnosis.law.windows import ForceWindows
 from snakejax.diagnosis.law.words import in_words
 from snakejax.dynamics.law import formulas_of, law_class
+from snakejax.dynamics.ports import RollingForce
+from snakejax.effects import LIBRARY
 
 RUNS, OF_RUN, KNOTS, PARAMETERS, STEP = 4, 5, 17, 2, 0.02
 
@@ -611,10 +614,24 @@ def test_a_resistance_drives_nothing(action: str, sign: float, text: str) -> Non
     family = family._replace(shape=(ShapeParameter("k", {"m": -1}, (7.0,)), *what.shape))
     law = SimpleNamespace(family=family, values=parameters)
     passive = sign > 0 and text.startswith("1")
-    assert is_passive(windows, law, ()) is passive  # type: ignore[arg-type]
-    assert is_passive(windows, law, ("tyre_relaxation",)) is passive  # type: ignore[arg-type]
-    known = {"drag": "body_drag", "friction": "rolling_resistance", "rolling": "rolling_resistance"}
-    assert is_passive(windows, law, (known[action],))  # type: ignore[arg-type]
+    assert is_passive(windows, law, {}) is passive  # type: ignore[arg-type]
+    name = {"drag": "body_drag.c", "friction": "rolling_resistance.f", "rolling": "rolling_resistance.f"}[action]
+    assert is_passive(windows, law, {f"effects.{name}": 0.1, "effects.yaw_damping.c": 9.0}) is passive  # type: ignore[arg-type]
+    assert is_passive(windows, law, {f"effects.{name}": 5.0})  # type: ignore[arg-type]
+
+
+def test_the_known_resistances_are_those_of_the_library() -> None:
+    motion = {"u": 0.3, "w": -0.1, "r": 0.015, "speed": float(np.hypot(0.3, 0.1)), "rolling_speed": 0.004}
+    for effect, term in (OF_TRAVEL | OF_TURNING).items():
+        own: Any = LIBRARY[effect](**{term.amplitude: 0.7})  # type: ignore[call-arg]
+        at: Any = SimpleNamespace(**motion)
+        wheel: Any = SimpleNamespace(rolling=motion["rolling_speed"])
+        of_wheel = isinstance(own, RollingForce)
+        known = {"resistance": own.resistance(wheel, at)} if of_wheel else dict(zip("XYN", own.wrench(at), strict=True))
+        for component, formula in term.formulas:
+            value = 0.7 * float(evaluated(parsed(formula), motion, np))
+            assert value == pytest.approx(float(known.pop(component)), rel=1e-12)
+        assert not any(float(rest) for rest in known.values())
 
 
 def test_wind_may_drive_and_so_may_a_force() -> None:
@@ -622,7 +639,7 @@ def test_wind_may_drive_and_so_may_a_force() -> None:
     push = Family("made", "X", ("u",), (Term("a", {}, (("X", "u"),)),))
     wind = next(one for one in families(windows.ranges(), windows.wheel) if one.name == "wind")
     for family, values in ((push, {"a": 1.0}), (wind, {"a": 1.0, "v0": 5.0, "q": 0.0})):
-        assert is_passive(windows, SimpleNamespace(family=family, values=values), ())  # type: ignore[arg-type]
+        assert is_passive(windows, SimpleNamespace(family=family, values=values), {})  # type: ignore[arg-type]
 
 
 def test_units_of_products() -> None:

@@ -97,7 +97,8 @@ def proposed(search: Search, linear: Linear) -> list[Proposal]:
         others = tuple(effect for effect in effects if effect != LAW)
         parameters = len(search.model.names)
         fitted = with_amplitudes(law, step[parameters:], step[search.model.free(others)])
-        if is_passive(beside[0].windows, fitted, others):
+        values = search.segments.moved(linear.point.values, step[:parameters])
+        if is_passive(beside[0].windows, fitted, dict(zip(search.model.names, values, strict=True))):
             proposed_laws.append(Proposal(_with_effects(weaker[0], others), fitted, penalised))
     return proposed_laws
 
