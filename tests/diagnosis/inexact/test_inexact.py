@@ -98,6 +98,20 @@ def test_a_twin_costs_little_and_another_much() -> None:
     assert costs["h"] < CRITERIA.distinct_chi2 < min(cost for name, cost in costs.items() if name != "h")
 
 
+@pytest.mark.parametrize(("sizes", "twins"), [({"a": 40.0, "b": 15.0}, ("h",)), ({"a": 2.0, "b": 15.0}, ())])
+def test_one_parameter_of_an_effect_may_have_a_twin(sizes: dict[str, float], twins: tuple[str, ...]) -> None:
+    """The candidate "ab" has the parameters a and b. h does what a does, so that b alone shows that the effect is
+    there; where a is not significant, nothing takes its place."""
+    made, _ = problem(4, sizes, twins=0.97)
+    pair: tuple[int, ...] = (*made.candidates["a"], *made.candidates["b"])
+    rest = OrderedDict((name, columns) for name, columns in made.candidates.items() if name not in "ab")
+    made = made._replace(candidates=OrderedDict({"ab": pair}) | rest)
+    search: Any = SimpleNamespace(criteria=CRITERIA)
+    assert confidence.twins(search, made, ["ab"], "ab") == ()
+    assert confidence.twins_of_parts(search, made, ["ab"], "ab") == twins
+    assert confidence.twins_of_parts(search, made, ["ab", "h"], "h") == ()
+
+
 def test_a_number_that_is_none_is_no_evidence() -> None:
     made, _ = problem(5, {})
     assert made.p_value("a", float("nan")) == 1.0

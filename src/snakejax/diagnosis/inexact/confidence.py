@@ -1,6 +1,6 @@
 """How sure an effect is: sure, likely, one of several, or in place of something else."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -58,7 +58,8 @@ def confidence(
     sure = {}
     for effect, fall in costs.items():
         law = effect in laws
-        instead = (*twins(search, linear.subsets if law else wide, effects, effect), *laws.get(effect, ()))
+        instead = twins(search, linear.subsets if law else wide, effects, effect)
+        instead += laws[effect] if law else twins_of_parts(search, wide, effects, effect)
         predicts = predicted.gain(effects, effect).exceeds_standard_error
         falls = fall, wide_costs[effect], widest_costs[effect]
         sure[effect] = _confidence(linear.subsets.threshold(effect), predicts, law, falls, instead)
@@ -87,3 +88,16 @@ def twins(search: Search, problem: Subsets, effects: Iterable[str], effect: str)
     most = min(search.criteria.distinct_chi2, 0.5 * removal_costs(problem, effects)[effect])
     near = [other for other, cost in costs.items() if cost < most]
     return tuple(sorted(near, key=lambda other: costs[other] if np.isfinite(costs[other]) else np.inf))
+
+
+def twins_of_parts(search: Search, problem: Subsets, effects: Sequence[str], effect: str) -> tuple[str, ...]:
+    """The candidates that take the place of one parameter of an `effect` that has several, of those parameters that are
+    significant by themselves. A marker ahead of the centre of mass and a centre of mass behind the middle look alike:
+    that a marker is to the left of it does not tell which it is."""
+    columns, others = problem.candidates[effect], []
+    for column in columns if len(columns) > 1 else ():
+        split, part = problem.split(effect, column)
+        whole = [*effects, part]
+        if removal_costs(split, whole)[part] >= split.threshold(part):
+            others += [other for other in twins(search, split, whole, part) if other not in others]
+    return tuple(others)

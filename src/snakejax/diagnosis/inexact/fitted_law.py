@@ -1,6 +1,5 @@
 """A law of the segments as an effect of the model, fitted together with everything else."""
 
-from collections import OrderedDict
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -129,10 +128,9 @@ def _deviances_without_terms(fitted: FittedLaw) -> dict[str, float]:
     deviances = {}
     for term in fitted.proposal.law.family.terms:
         column = fitted.search.model.names.index(f"effects.{name}.{term.amplitude}")
-        rest = tuple(k for k in subsets.candidates[name] if k != column)
         # The term as a candidate of its own, which is absent.
-        split = OrderedDict(subsets.candidates) | {name: rest, f"{name}.{term.amplitude}": (column,)}
-        without = whole._replace(linear=linear._replace(subsets=subsets._replace(candidates=split)))
+        split, _ = subsets.split(name, column)
+        without = whole._replace(linear=linear._replace(subsets=split))
         deviances[term.amplitude] = float(without.deviance(linear.point.effects).sum())
     return deviances
 

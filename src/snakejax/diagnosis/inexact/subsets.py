@@ -49,6 +49,12 @@ class Subsets(NamedTuple):
         low[list(columns)], high[list(columns)] = -np.inf, np.inf
         return self._replace(low=low, high=high)
 
+    def split(self, effect: str, column: int) -> tuple["Subsets", str]:
+        """The problem with the parameter numbered `column` of an `effect` as a candidate of its own, and its name."""
+        part, rest = f"{effect}.{column}", tuple(k for k in self.candidates[effect] if k != column)
+        candidates = OrderedDict(self.candidates) | {effect: rest, part: (column,)}
+        return self._replace(candidates=candidates), part
+
     def without(self, effects: Iterable[str]) -> "Subsets":
         """The problem without some of its candidates."""
         barred = set(effects)
