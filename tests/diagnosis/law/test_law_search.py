@@ -634,12 +634,28 @@ def test_the_known_resistances_are_those_of_the_library() -> None:
         assert not any(float(rest) for rest in known.values())
 
 
-def test_wind_may_drive_and_so_may_a_force() -> None:
+@pytest.mark.parametrize(
+    ("action", "side", "variable", "passive"),
+    [
+        ("X", "X", "u", True),
+        ("X", "X", "time", False),
+        ("body", "Y", "time", False),
+        ("N", "N", "time", True),
+        ("world", "east", "time", True),
+    ],
+)
+def test_no_engine_aboard_pushes_by_the_clock(action: str, side: str, variable: str, passive: bool) -> None:
+    law: Any = SimpleNamespace(
+        family=Family("made", action, (variable,), (Term("a", {}, ((side, variable),)),)), values={"a": 1.0}
+    )
+    assert is_passive(windows_of(law_of(("X", "u"))), law, {}) is passive
+
+
+def test_wind_may_drive() -> None:
     windows = windows_of(law_of(("X", "u")))
-    push = Family("made", "X", ("u",), (Term("a", {}, (("X", "u"),)),))
     wind = next(one for one in families(windows.ranges(), windows.wheel) if one.name == "wind")
-    for family, values in ((push, {"a": 1.0}), (wind, {"a": 1.0, "v0": 5.0, "q": 0.0})):
-        assert is_passive(windows, SimpleNamespace(family=family, values=values), {})  # type: ignore[arg-type]
+    law: Any = SimpleNamespace(family=wind, values={"a": 1.0, "v0": 5.0, "q": 0.0})
+    assert is_passive(windows, law, {})
 
 
 def test_units_of_products() -> None:

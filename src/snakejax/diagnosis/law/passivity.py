@@ -1,4 +1,4 @@
-"""Whether a law that resists motion does so: nothing passive drives a vehicle."""
+"""Whether a law is passive: a resistance resists, and no engine aboard pushes the vehicle by the clock."""
 
 from collections.abc import Mapping, Sequence
 
@@ -8,7 +8,7 @@ from snakejax.core.formula import evaluated, parsed
 from snakejax.dynamics.contact import STICKING_SPEED
 
 from .search import ProposedLaw
-from .terms import Term
+from .terms import BODY_ACTION, OF_FACING, Term
 from .windows import ForceWindows
 
 DRIVEN = 0.1
@@ -36,9 +36,12 @@ DRIVEN_BY_OTHERS = ("wind", "friction at an arm", "drag at an arm")
 
 
 def is_passive(windows: ForceWindows, law: ProposedLaw, known: Mapping[str, float]) -> bool:
-    """Whether `law`, if it resists motion, takes energy from the vehicle in the `windows`, together with what known
-    effects take: `known` has the values of parameters, `effects.body_drag.c`."""
+    """Whether `law` is no push along or across the body that depends on the time alone; and, if it resists motion,
+    takes energy from the vehicle in the `windows`, together with what known effects take: `known` has the values of
+    parameters, `effects.body_drag.c`."""
     family = law.family
+    if family.action in (*OF_FACING, BODY_ACTION) and family.variables == ("time",):
+        return False
     if family.action not in LESSENED or family.name in DRIVEN_BY_OTHERS:
         return True
     whole = ((family.together, 1.0),) if family.together else ()
