@@ -2,6 +2,7 @@
 
 from functools import cache
 from io import StringIO
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +13,7 @@ from snakejax import TABLE_II, Board, Case, Force, Gait, Model, Noise, Pacejka, 
 from snakejax.diagnosis.selection.candidates import CandidateFit, CandidateSet
 from snakejax.diagnosis.selection.criteria import CRITERIA
 from snakejax.diagnosis.selection.ranking import rank
-from snakejax.diagnosis.selection.refit import base_fit, is_worse, no_worse
+from snakejax.diagnosis.selection.refit import base_fit, is_worse, no_worse, refit
 from snakejax.diagnosis.selection.score_test import ProjectedResiduals, score
 from snakejax.diagnosis.selection.screening import ScreenedCandidate, screen_candidates
 from snakejax.diagnosis.selection.working_step import candidate_score, selection_step
@@ -73,6 +74,26 @@ def base(few: bool) -> CandidateFit:
 @cache
 def promised(few: bool) -> dict[str, ScreenedCandidate]:
     return {one.score.effect: one for one in screen_candidates(bench(few), base(few))}
+
+
+@pytest.mark.parametrize(("finite", "ends"), [({0.0, 2.0, 8.0}, 8.0), ({0.0, 2.0}, 2.0), ({0.0}, 0.0), (set(), 8.0)])
+def test_where_the_first_seconds_lead_astray_a_fit_to_whole_runs_begins_elsewhere(finite: set, ends: float):
+    """Windows end at 2, the first seconds at 8, the neutral value is 0. Whole runs are finite from some of them only."""
+    begun: list[float] = []
+
+    def fit(values, free, train, start=None, until=None, **_: object):
+        begun.append(values["tyre.B"])
+        if until is not None:
+            return SimpleNamespace(values={"tyre.B": 8.0}, start=None, misfit=1e3)
+        return SimpleNamespace(values=values, misfit=1e4 if values["tyre.B"] in finite else np.inf)
+
+    problem = SimpleNamespace(fit=fit, values=lambda: {"tyre.B": 0.0}, names=("tyre.B",))
+    known = SimpleNamespace(
+        free=lambda _: ["tyre.B"], train=(0,), problem=problem, criteria=CRITERIA, off_zero=lambda _, value: value
+    )
+    end = refit(known, (), {"tyre.B": 2.0}, near=False)  # type: ignore[arg-type]
+    assert np.isfinite(end.misfit) == bool(finite) and begun[0] == 2.0
+    assert not finite or end.values["tyre.B"] == ends
 
 
 @pytest.mark.slow

@@ -90,6 +90,11 @@ def refit(
             return _to_the_end(candidate_set, solution)
     first = candidate_set.problem.fit(known, free, train, until=4.0, enough=1.0, weak_prior=True, most=6)
     rough = candidate_set.problem.fit(first.values, free, train, first.start, enough=1.0, weak_prior=True, most=4)
+    for other in (known, neutral):
+        if np.isfinite(rough.misfit):
+            break
+        # With the values that follow the first seconds best, a whole run may leave the range of numbers.
+        rough = candidate_set.problem.fit(other, free, train, start, enough=1.0, weak_prior=True, most=4)
     if not rough.misfit < candidate_set.criteria.far_misfit:
         return rough
     solution = candidate_set.problem.fit(rough.values, free, train, rough.start, crawl=CRAWL, most=30)
