@@ -78,7 +78,7 @@ def promised(few: bool) -> dict[str, ScreenedCandidate]:
 
 @pytest.mark.parametrize(("finite", "ends"), [({0.0, 2.0, 8.0}, 8.0), ({0.0, 2.0}, 2.0), ({0.0}, 0.0), (set(), 8.0)])
 def test_where_the_first_seconds_lead_astray_a_fit_to_whole_runs_begins_elsewhere(finite: set, ends: float):
-    """Windows end at 2, the first seconds at 8, the neutral value is 0. Whole runs are finite from some of them only."""
+    """Windows end at 2, the first seconds at 8, the neutral value is 0. From some of them whole runs are finite."""
     begun: list[float] = []
 
     def fit(values, free, train, start=None, until=None, **_: object):
