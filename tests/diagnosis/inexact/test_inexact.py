@@ -173,7 +173,7 @@ def test_contributions_add_up_and_rank_effects_however_they_are_listed(effects: 
     left = judged_by(subsets, runs)
     shares = left.contributions(tuple(effects))
     again = left.contributions(tuple(reversed(effects)))
-    fall = (left.error([]) - left.error(effects)).sum()
+    fall = np.log(left.error([]) / left.error(effects)).sum()
     assert sum(shares.values()) == pytest.approx(fall) and sorted(shares, key=lambda e: -shares[e])[:3] == [*"abc"]
     assert shares["a"] == pytest.approx(again["a"], rel=0.05 if len(effects) > 5 else 1e-9)
 
@@ -182,14 +182,24 @@ def test_twins_share_what_both_explain() -> None:
     subsets, runs = problem(5, {"a": 30.0, "b": 20.0}, twins=0.99)
     left = judged_by(subsets, runs)
     shares = left.contributions(("a", "b", "h"))
-    alone = left.error(["b"]).sum() - left.error(["a", "b"]).sum()
-    assert shares["a"] == pytest.approx(alone / 2, rel=0.1) and shares["h"] == pytest.approx(alone / 2, rel=0.1)
+    either = left.contributions(("a", "b"))["a"]
+    assert shares["a"] == pytest.approx(either / 2, rel=0.1) and shares["h"] == pytest.approx(either / 2, rel=0.1)
 
 
 def test_effects_are_listed_the_surest_first_and_of_equals_that_which_contributes_most() -> None:
-    words = {"a": "ambiguous", "b": "sure", "c": "likely", "d": "stand_in", "e": "sure"}
-    contributions = {"a": 90.0, "b": 1.0, "c": 50.0, "d": 30.0, "e": 2.0}
-    assert surest_first(words, contributions) == tuple("ebcad")
+    """f and g are sure, and contribute less than 5% of all: what no candidate describes may be as large."""
+    words = {"a": "ambiguous", "b": "sure", "c": "likely", "d": "stand_in", "e": "sure", "f": "sure", "g": "sure"}
+    contributions = {"a": 90.0, "b": 11.0, "c": 50.0, "d": 30.0, "e": 12.0, "f": 9.0, "g": -2.0}
+    assert surest_first(words, contributions) == tuple("ebcadfg")
+
+
+def test_no_run_alone_decides_what_contributes() -> None:
+    """Without a every run is ten times as far off; b alone explains what one run has a thousand times as much of."""
+    error = {frozenset("ab"): [1, 1, 1, 1], frozenset("a"): [1, 1, 1, 900], frozenset("b"): [10, 10, 10, 10]}
+    error[frozenset()] = [10, 10, 10, 9000]
+    left: Any = SimpleNamespace(error=lambda effects: np.array(error[frozenset(effects)], float))
+    shares = LeftOut.contributions(left, ("a", "b"))
+    assert shares["a"] == pytest.approx(4 * np.log(10)) and shares["b"] == pytest.approx(np.log(900))
 
 
 @pytest.mark.parametrize("misleads", [False, True])

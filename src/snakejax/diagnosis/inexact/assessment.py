@@ -16,7 +16,7 @@ from ..explanation import RunBand
 from ..latent_force.missing_force import LatentForce
 from ..odd_runs import OddRun, odd_runs
 from ..selection.candidates import CandidateSet
-from .confidence import WORDS, Confidence, confidence
+from .confidence import RELEVANT, WORDS, Confidence, confidence
 from .evidence import ModelEvidence, model_evidence
 from .left_out import LeftOut, left_out
 from .prediction import PredictiveCheck, bands, left_out_bands, likelier_segments, predictive_check, simulated_segments
@@ -139,8 +139,13 @@ def assess(
 
 def surest_first(words: Mapping[str, str], contributions: Mapping[str, float]) -> tuple[str, ...]:
     """The effects by the word for how sure each is, in the order of `WORDS`; of equals that which contributes most
-    first."""
-    return tuple(sorted(words, key=lambda effect: (WORDS.index(words[effect]), -contributions[effect])))
+    first. Behind all others are those that contribute less than `RELEVANT` of what all do, however sure they are."""
+    least = RELEVANT * sum(contributions.values())
+
+    def place(effect: str) -> tuple[bool, int, float]:
+        return contributions[effect] < least, WORDS.index(words[effect]), -contributions[effect]
+
+    return tuple(sorted(words, key=place))
 
 
 def _odd_runs(search: Search, linear: Linear, problem: Subsets, gram: np.ndarray) -> tuple[OddRun, ...]:

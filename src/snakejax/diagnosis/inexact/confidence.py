@@ -12,6 +12,9 @@ from .subsets import Subsets, removal_costs, substitutes
 
 WORDS = SURE, LIKELY, AMBIGUOUS, STAND_IN = "sure", "likely", "ambiguous", "stand_in"
 """How sure an effect is, the surest first."""
+RELEVANT = 0.05
+"""Where no model is exact, an effect that takes away less than this share of the squared error of unseen runs is not
+sure: what no candidate describes may be as large."""
 
 
 class Confidence(NamedTuple):

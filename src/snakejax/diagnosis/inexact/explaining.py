@@ -23,7 +23,7 @@ from ..selection.criteria import SelectionCriteria
 from ..selection.steps import SelectionStep, raises_heldout_error
 from .assessment import Assessment, assess
 from .candidate_model import candidate_model, movable_parameters
-from .confidence import LIKELY, STAND_IN, SURE
+from .confidence import LIKELY, RELEVANT, STAND_IN, SURE
 from .evidence import ModelEvidence
 from .fitted_law import FittedLaw
 from .laws import LawChoices, choose_laws
@@ -32,10 +32,6 @@ from .random_force import random_force
 from .revision import search_effects
 from .search import Linear, Search
 from .steps import beside_stated_constants, calibrated
-
-RELEVANT = 0.05
-"""Where no model is exact, an effect that takes away less than this share of the squared error of unseen runs is not
-sure: what no candidate describes may be as large."""
 
 
 def supports(candidate_set: CandidateSet) -> bool:

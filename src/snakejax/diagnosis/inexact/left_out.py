@@ -85,15 +85,16 @@ class LeftOut(NamedTuple):
         return float((self.error(effects) - self.error([*effects, effect])).sum() / self.error([]).sum())
 
     def contributions(self, effects: Sequence[str]) -> dict[str, float]:
-        """The part of the fall of the squared error of whole runs that is due to each of `effects`: the fall with it,
-        averaged over the orders in which the effects may be added (Shapley value; Lindeman, Merenda and Gold 1980). In
-        the order in which they happen to be taken, the first is credited with what it shares with later ones.
+        """The part of the fall of the squared error of whole runs that is due to each of `effects`: the fall with it of
+        ln error, summed over the runs so that none of them decides, and averaged over the orders in which the effects
+        may be added (Shapley value; Lindeman, Merenda and Gold 1980). In the order in which they happen to be taken,
+        the first is credited with what it shares with later ones.
         """
         orders = list(islice(permutations(effects), MOST_ORDERS))
         if len(orders) == MOST_ORDERS:
             random = np.random.default_rng(0)
             orders = [tuple(random.permutation(list(effects)).tolist()) for _ in orders]
-        errors = {s: self.error(s).sum() for s in {frozenset(o[:k]) for o in orders for k in range(len(o) + 1)}}
+        errors = {s: np.log(self.error(s)).sum() for s in {frozenset(o[:k]) for o in orders for k in range(len(o) + 1)}}
         contributions = dict.fromkeys(effects, 0.0)
         for order in orders:
             for k, effect in enumerate(order):
