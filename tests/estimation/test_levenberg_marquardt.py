@@ -121,6 +121,13 @@ def test_a_multiplicative_step_is_a_factor_and_saturates():
     stiffness = Domain("-", 0.0, np.inf, True, True)
     assert float(retract([stiffness], at(8.0), jnp.asarray([1e-4]))[0]) == pytest.approx(8.0 * np.exp(1e-4), rel=1e-9)
     assert float(retract([stiffness], at(8.0), jnp.asarray([-100.0]))[0]) == pytest.approx(8.0 * np.exp(-REACH))
+    # A factor of a tyre is at most 2: a step to 1.4 exp(2) is as far below, and no reflection ends below zero.
+    factor = Domain("-", -np.inf, 2.0, True, True)
+    for step in (0.1, 0.5, 2.0, 2.5, -2.0, 100.0):
+        value = float(retract([factor], at(1.4), jnp.asarray([step]))[0])
+        whole = REACH * np.tanh(step / REACH)
+        assert value == pytest.approx(np.exp(np.log(2) - abs(np.log(1.4) + whole - np.log(2))))
+        assert 0 < value <= 2
 
 
 def test_a_minimum_beyond_a_bound_ends_on_the_bound():

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from snakejax.core.parameter import Domain, parameters, require_in_domain, with_parameters
 from snakejax.dynamics.active_effects import active_effects
@@ -87,11 +87,20 @@ def retract(domains: list[Domain], at: Variables, steps: Float[Array, " K"]) -> 
     shift = jnp.where(scaled, REACH * jnp.tanh(shift / REACH), shift)
     values = jnp.where(multiplicative, at.values * jnp.exp(shift), at.values + shift)
     above, below = values > high, values < low
-    values = jnp.where(above, 2 * np.where(np.isfinite(high), high, 0.0) - values, values)
-    values = jnp.where(below, 2 * np.where(np.isfinite(low), low, 0.0) - values, values)
+    values = jnp.where(above, _reflected(values, high, multiplicative), values)
+    values = jnp.where(below, _reflected(values, low, multiplicative), values)
     # A very large step is still outside after one reflection: it is clipped.
     inside = (values >= low) & (values <= high)
     return jnp.where(inside, values, jnp.clip(values, low, high))
+
+
+def _reflected(
+    values: Float[Array, " P"], bounds: Float[np.ndarray, " P"], multiplicative: Bool[np.ndarray, " P"]
+) -> Float[Array, " P"]:
+    """The values as far on the other side of their bounds, in the logarithm where that is what a fit moves: no
+    reflection makes a positive value negative. Where there is no bound, the result means nothing."""
+    bounds = np.where(np.isfinite(bounds), bounds, 1.0)
+    return jnp.where(multiplicative, bounds**2 / jnp.where(multiplicative, values, 1.0), 2 * bounds - values)
 
 
 def domains_of(model: Model, names: Sequence[str]) -> list[Domain]:
