@@ -163,9 +163,15 @@ def test_laws_are_compared_beside_the_force_with_which_each_is_likeliest(monkeyp
     monkeypatch.setattr(law_proposals, "search_laws", lambda windows, most: (made,))
     monkeypatch.setattr(law_proposals, "chosen_beside", chosen)
     model = SimpleNamespace(names=("drag", "slope"), free=lambda effects: [("drag", "slope").index(e) for e in effects])
-    search: Any = SimpleNamespace(model=model)
-    linear: Any = SimpleNamespace(point=SimpleNamespace(effects=("drag",)))
+    segments = SimpleNamespace(moved=lambda values, step: values + step)
+    search: Any = SimpleNamespace(model=model, segments=segments)
+    linear: Any = SimpleNamespace(point=SimpleNamespace(effects=("drag",), values=np.array([0.5, 0.25])))
     (only,) = law_proposals.proposed(search, linear)
+    asked: list[dict[str, float]] = []
+    monkeypatch.setattr(law_proposals, "is_passive", lambda windows, law, known: asked.append(known))
+    assert law_proposals.proposed(search, linear) == [], "a law that is not passive is none"
+    assert asked == [{"drag": 7.5, "slope": 8.25}]
+    monkeypatch.setattr(law_proposals, "is_passive", lambda *_: True)
     assert (only.penalised, only.weak.point.effects) == (41.0, ("slope",))
     assert only.weak.share == 1 / 3, "the fit begins beside the force of the search"  # type: ignore[attr-defined]
     assert only.law.values == {"a": 2.0} and only.law.steps.tolist() == [8.0]
