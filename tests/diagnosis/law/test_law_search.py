@@ -635,19 +635,27 @@ def test_the_known_resistances_are_those_of_the_library() -> None:
 
 
 @pytest.mark.parametrize(
-    ("action", "side", "variable", "passive"),
+    ("action", "side", "text", "variable", "passive"),
     [
-        ("X", "X", "u", True),
-        ("X", "X", "time", False),
-        ("body", "Y", "time", False),
-        ("N", "N", "time", True),
-        ("world", "east", "time", True),
+        ("X", "X", "rotor_rate", "rotor_rate", True),
+        ("X", "X", "time", "time", False),
+        ("body", "Y", "time", "time", False),
+        ("N", "N", "time", "time", True),
+        ("world", "east", "time", "time", True),
+        ("X", "X", "-u", "u", True),
+        ("X", "X", "exp(-((u - 0.2) / 0.1) ** 2)", "u", False),
+        ("X", "X", "-u * exp(-((u - 0.2) / 0.1) ** 2)", "u", True),
+        ("Y", "Y", "w", "w", False),
+        ("N", "N", "r", "r", False),
+        ("N", "N", "-r * abs(r)", "r", True),
+        ("Y", "Y", "r", "r", True),
     ],
 )
-def test_no_engine_aboard_pushes_by_the_clock(action: str, side: str, variable: str, passive: bool) -> None:
-    law: Any = SimpleNamespace(
-        family=Family("made", action, (variable,), (Term("a", {}, ((side, variable),)),)), values={"a": 1.0}
-    )
+def test_nothing_aboard_pushes_by_the_clock_or_along_its_own_speed(
+    action: str, side: str, text: str, variable: str, passive: bool
+) -> None:
+    family = Family("made", action, (variable,), (Term("a", {}, ((side, text),)),))
+    law: Any = SimpleNamespace(family=family, values={"a": 1.0})
     assert is_passive(windows_of(law_of(("X", "u"))), law, {}) is passive
 
 

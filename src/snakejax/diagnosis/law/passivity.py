@@ -31,6 +31,8 @@ LESSENED: dict[str, Mapping[str, Term]] = {
     "yaw_drag": OF_TURNING,
 }
 """The actions that resist motion, with the known effects of which such a law may take something away."""
+OF_OWN_SPEED = {("X", ("u",)): OF_TRAVEL, ("Y", ("w",)): OF_TRAVEL, ("N", ("r",)): OF_TURNING}
+"""A force that depends on the speed along itself alone resists too: by action and variables, likewise."""
 DRIVEN_BY_OTHERS = ("wind", "friction at an arm", "drag at an arm")
 """The names of forms of such an action that may drive the vehicle: air that moves, and a joint."""
 
@@ -42,14 +44,15 @@ def is_passive(windows: ForceWindows, law: ProposedLaw, known: Mapping[str, floa
     family = law.family
     if family.action in (*OF_FACING, BODY_ACTION) and family.variables == ("time",):
         return False
-    if family.action not in LESSENED or family.name in DRIVEN_BY_OTHERS:
+    lessened = LESSENED.get(family.action) or OF_OWN_SPEED.get((family.action, family.variables))
+    if lessened is None or family.name in DRIVEN_BY_OTHERS:
         return True
     whole = ((family.together, 1.0),) if family.together else ()
     own = whole or [(term.formulas, law.values[term.amplitude]) for term in family.terms]
     power = _power(windows, own, law.values)
     resisting = [
         (term.formulas, known[name])
-        for effect, term in LESSENED[family.action].items()
+        for effect, term in lessened.items()
         if (name := f"effects.{effect}.{term.amplitude}") in known
     ]
     driving = np.maximum(power + _power(windows, resisting, {}), 0.0)
