@@ -659,6 +659,15 @@ def test_nothing_aboard_pushes_by_the_clock_or_along_its_own_speed(
     assert is_passive(windows_of(law_of(("X", "u"))), law, {}) is passive
 
 
+@pytest.mark.parametrize("value", [1.0, -1.0])
+def test_a_smooth_resistance_drives_nothing(value: float) -> None:
+    windows = windows_of(law_of(("X", "u")))
+    smooth = smooth_of_one(windows.ranges(), windows.wheel)
+    family = next(one for one in smooth if one.action == "drag" and one.variables == ("x",))
+    law: Any = SimpleNamespace(family=family, values={term.amplitude: value for term in family.terms})
+    assert is_passive(windows, law, {}) is (value > 0)
+
+
 def test_wind_may_drive() -> None:
     windows = windows_of(law_of(("X", "u")))
     wind = next(one for one in families(windows.ranges(), windows.wheel) if one.name == "wind")

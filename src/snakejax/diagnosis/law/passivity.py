@@ -47,9 +47,8 @@ def is_passive(windows: ForceWindows, law: ProposedLaw, known: Mapping[str, floa
     lessened = LESSENED.get(family.action) or OF_OWN_SPEED.get((family.action, family.variables))
     if lessened is None or family.name in DRIVEN_BY_OTHERS:
         return True
-    whole = ((family.together, 1.0),) if family.together else ()
-    own = whole or [(term.formulas, law.values[term.amplitude]) for term in family.terms]
-    power = _power(windows, own, law.values)
+    own = [(term.formulas, law.values[term.amplitude]) for term in family.terms]
+    power = _power(windows, [(family.together, 1.0)] if family.together else own, law.values)
     resisting = [
         (term.formulas, known[name])
         for effect, term in lessened.items()
